@@ -1,0 +1,35 @@
+"""A route as a user writes it: way points, speed and limits. How a body follows it is the business of the worlds."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from testbed.quantity import Config, Metres, MetresPerSecond, MetresPerSecond2, Point2, Seconds
+
+
+class Route(Config):
+    """Way points on the floor, joined by straight legs whose corners are rounded, driven within limits.
+
+    The body waits at the first point until `start_s` (plus a draw from U(0, start_jitter_s)), speeds up, slows down for corners so that
+    neither limit is passed, stops at the last point. Each trial's speed is `speed_mps` times 1 + speed_jitter * U(-1, 1);
+    the whole route is shifted sideways by lateral_jitter_m * U(-1, 1), along the normal of its first leg.
+    """
+
+    waypoints_m: Annotated[list[Point2], Field(min_length=2, max_length=1000)]
+    speed_mps: Annotated[MetresPerSecond, Field(gt=0, le=20)] = 1.0
+    acceleration_mps2: Annotated[MetresPerSecond2, Field(gt=0, le=50)] = 0.5
+    lateral_acceleration_mps2: Annotated[MetresPerSecond2, Field(gt=0, le=50)] = 1.0
+    corner_radius_m: Annotated[Metres, Field(gt=0, le=100)] = 0.8
+    start_s: Annotated[Seconds, Field(ge=0, le=86_400)] = 0.0
+    start_jitter_s: Annotated[Seconds, Field(ge=0, le=3_600)] = 0.0
+    speed_jitter: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    lateral_jitter_m: Annotated[Metres, Field(ge=0, le=10)] = 0.0
+
+    @model_validator(mode="after")
+    def _points_apart(self) -> Route:
+        for i, (a, b) in enumerate(zip(self.waypoints_m[:-1], self.waypoints_m[1:], strict=True)):
+            if (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 < 1e-12:
+                raise ValueError(f"way points {i} and {i + 1} are the same place {a}: leave one out")
+        return self
