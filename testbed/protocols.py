@@ -135,12 +135,18 @@ class Tagged:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What a sensor senses with: the scene, the motion, the tags, a ray caster, and the key of its random numbers."""
+    """What a sensor senses with: the scene, the motion, the tags, a ray caster, and the key of its random numbers.
+
+    target_bodies : name of each target's body ("" for one that stands still); its place is `Odometry.carrier`
+    target_tags   : indices of the tags that some target has: those that the stimulus speaks of
+    """
 
     scene: Scene
     truth: Truth
     tagged: Tagged
-    targets: Sequence[str]  # bodies that odometry and compass may be carried by: index = `Odometry.carrier`
+    target_bodies: Sequence[str]
+    target_tags: Array
+    duration: float  # s
     caster: Caster
     root: int
     trial: int

@@ -1,0 +1,1 @@
+"""The channel: what an antenna hears of a tag. Makes the data; estimators never import it."""

@@ -1,0 +1,1 @@
+"""Sensors: what turns geometry and motion into streams. One file a sensor."""

@@ -1,0 +1,92 @@
+"""From what a scenario says of antennas to where they are: bodies and mounts by pattern, aim and tilt."""
+
+from __future__ import annotations
+
+from fnmatch import fnmatchcase
+
+import numpy as np
+
+from testbed import frames
+from testbed.plugins import suggest
+from testbed.radio.links import Ends
+from testbed.scene import WORLD, Scene
+from testbed.sensors.rfid_config import AntennaRule, RfidConfig
+from testbed.types import Antennas
+
+
+def bodies_matching(scene: Scene, pattern: str) -> list[int]:
+    """Indices of the bodies whose name fits the pattern. ValueError, with the nearest name, where none does."""
+    found = [i for i, body in enumerate(scene.bodies) if fnmatchcase(body.name, pattern)]
+    if not found:
+        raise ValueError(f"no body is named {pattern!r}{suggest(pattern, [b.name for b in scene.bodies])}")
+    return found
+
+
+def in_truth(scene: Scene, body: int, pose: np.ndarray) -> tuple[int, np.ndarray]:
+    """(index in the truth, pose (7,)) of something at `pose` in the frame of a body: the world's where the body never moves."""
+    if body == WORLD:
+        return WORLD, pose
+    if scene.bodies[body].moving:
+        return int(np.searchsorted(scene.moving, body)), pose
+    return WORLD, frames.compose(scene.bodies[body].pose, pose)
+
+
+def place_antennas(config: RfidConfig, sensor: str, scene: Scene) -> tuple[Antennas, Ends]:
+    """The antennas of a reader, and their ends of the links. ValueError names the rule that can't be fulfilled."""
+    rows: list[tuple[str, int, np.ndarray, AntennaRule]] = []
+    for i, rule in enumerate(config.antennas):
+        try:
+            rows += _placed(rule, scene, default_id=f"{sensor}.{i + 1}")
+        except ValueError as error:
+            raise ValueError(f"antennas.{i}: {error}") from None
+    names = [row[0] for row in rows]
+    twice = {n for n in names if names.count(n) > 1}
+    if twice:
+        raise ValueError(f"antennas: {', '.join(sorted(twice))} would be there twice: give them ids of their own")
+    ends = [in_truth(scene, body, pose) for _, body, pose, _ in rows]
+    poses = np.array([pose for _, pose in ends]).reshape(-1, 7)
+    rules = [rule for *_, rule in rows]
+    antennas = Antennas(
+        id=names,
+        position=poses[:, :3],
+        quaternion=poses[:, 3:],
+        gain=[r.gain_dbi for r in rules],
+        beamwidth=np.deg2rad([r.beamwidth_deg for r in rules]),
+        front_to_back=[r.front_to_back_db for r in rules],
+        power=[config.power_dbm if r.power_dbm is None else r.power_dbm for r in rules],
+        carrier=["" if body == WORLD else scene.moving_names[body] for body, _ in ends],
+        reader=[sensor] * len(rows),
+    )
+    return antennas, Ends(np.array([body for body, _ in ends], dtype=np.int64), poses)
+
+
+def _placed(rule: AntennaRule, scene: Scene, default_id: str) -> list[tuple[str, int, np.ndarray, AntennaRule]]:
+    if rule.position_m is None:
+        return _on_mounts(rule, scene)
+    body = WORLD
+    if rule.on is not None:
+        matching = bodies_matching(scene, rule.on)
+        if len(matching) > 1:
+            raise ValueError(f"{rule.on!r} fits {len(matching)} bodies, and position_m places one antenna on one")
+        body = matching[0]
+    if rule.aim_m is not None:
+        if rule.aim_m == rule.position_m:
+            raise ValueError("aim_m is where the antenna is: aim it elsewhere")
+        quaternion = frames.looking_at(rule.position_m, rule.aim_m)
+    else:
+        quaternion = frames.from_euler(np.deg2rad(rule.yaw_deg), -np.deg2rad(rule.tilt_deg))
+    return [(rule.id or default_id, body, np.concatenate([rule.position_m, quaternion]), rule)]
+
+
+def _on_mounts(rule: AntennaRule, scene: Scene) -> list[tuple[str, int, np.ndarray, AntennaRule]]:
+    found, mounts = [], scene.mounts
+    for body in bodies_matching(scene, rule.on or "*"):
+        prefix = scene.bodies[body].name + "."
+        for i in np.flatnonzero((mounts.body == body) & (mounts.use == "antenna")):
+            name = str(mounts.name[i])
+            if fnmatchcase(name.removeprefix(prefix), rule.mount or "*"):
+                found.append((name, body, np.concatenate([mounts.position[i], mounts.quaternion[i]]), rule))
+    wanted = len(found) if rule.count is None else rule.count
+    if not found or wanted > len(found):
+        raise ValueError(f"{rule.on!r} offers {len(found)} antenna mounts that fit {rule.mount or '*'!r}, {max(wanted, 1)} are wanted")
+    return found[:wanted]
