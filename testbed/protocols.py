@@ -9,16 +9,19 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from pydantic import BaseModel
 
 from testbed.columns import Array, Columns, Table, column
-from testbed.recording import Trial
+from testbed.geometry import Boxes, Mounts
 from testbed.rng import RowRandom
-from testbed.scene import Boxes, Mounts, Scene, Truth
 from testbed.types import Antennas, Estimate, Event, Prior, Site, Status, Tags, Track, UpdateInfo
+
+if TYPE_CHECKING:  # only to annotate: whoever imports this module for `Estimator` can't reach the truth through it
+    from testbed.recording import Trial
+    from testbed.scene import Scene, Truth
 
 # ---------------------------------------------------------------- worlds
 

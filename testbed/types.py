@@ -1,6 +1,6 @@
 """The data that flow from a world or a reader's log to a result: streams, what an installer knows, estimates, tracks.
 
-The geometry and the motion of a world are in `testbed.scene`. Everything here is columnar and read-only
+The motion of a world is in `testbed.scene`, out of an estimator's reach. Everything here is columnar and read-only
 (`testbed.columns`), SI and radians. Units are in each field's declaration. A time `t` is when a thing was true,
 `t_arrival` when the estimator's computer got it; both are seconds from the start of the recording.
 """
@@ -14,12 +14,12 @@ from typing import Self
 import numpy as np
 
 from testbed.columns import Array, Columns, Table, column
+from testbed.geometry import Boxes, Roads
 from testbed.rng import RowRandom
-from testbed.scene import Boxes, Roads
 
 __all__ = [
     "POSITION", "POSITION_VELOCITY", "Antennas", "Array", "Counts", "Estimate", "Event", "Heading", "Innovations", "Odometry",
-    "Prior", "Ranges", "Reads", "References", "Rounds", "Site", "Status", "Stream", "Tags", "Targets", "Track", "UpdateInfo",
+    "Prior", "Ranges", "Reads", "References", "RoundCounts", "Rounds", "Site", "Status", "Stream", "Tags", "Targets", "Track", "UpdateInfo",
 ]  # fmt: skip
 
 POSITION = ("x", "y", "z")  # m, world frame
@@ -77,6 +77,23 @@ class Counts(Table):
     round: Array = column("int64")
     antenna: Array = column("int32")
     tag: Array = column("int32")
+    n: Array = column("int32")
+
+
+@dataclass(frozen=True, eq=False)
+class RoundCounts(Table):
+    """What a tag answered to one antenna of one round, zero included: `Rounds` and `Counts` joined for the rows of an estimator.
+
+    One entry per round, antenna and tag that was asked; the event of the stream "rounds".
+    """
+
+    t: Array = column("float64", unit="s, end of the antenna's turn")
+    t_start: Array = column("float64", unit="s")
+    round: Array = column("int64")
+    reader: Array = column("int16")
+    antenna: Array = column("int32")
+    tag: Array = column("int32")
+    queries: Array = column("int32")
     n: Array = column("int32")
 
 

@@ -1,0 +1,67 @@
+"""The pieces of geometry that a site survey speaks of as well as a scene: boxes, mounts, zones, roads.
+
+A leaf: numpy only. What really stands and moves in a hall (`Scene`, `Truth`) is in `testbed.scene`, which estimators never import.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from testbed.columns import Array, Columns, Table, column
+
+WORLD = -1  # body index of a mount or box that stands still in the world frame
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes(Table):
+    """Solid boxes, each in the frame of its body. `body` and `material` index the scene's lists (body -1: world frame)."""
+
+    center: Array = column("float64", ("N", 3), "m")
+    quaternion: Array = column("float64", ("N", 4), "(w, x, y, z)")
+    half: Array = column("float64", ("N", 3), "m, half the edge lengths")
+    body: Array = column("int32", default=WORLD)
+    material: Array = column("int16", default=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Mounts(Table):
+    """Places where a tag or an antenna can be fixed, in the frame of their body, by name and group.
+
+    `name` is unique ("rack1.bay2.3", "gate1.left_low"), `group` is what belongs together ("rack1.bay2"), `use` is "tag" or
+    "antenna". +x of the quaternion points away from the surface.
+    """
+
+    name: Array = column("str")
+    group: Array = column("str")
+    use: Array = column("str")
+    body: Array = column("int32")
+    position: Array = column("float64", ("N", 3), "m")
+    quaternion: Array = column("float64", ("N", 4), "(w, x, y, z)")
+
+
+@dataclass(frozen=True, eq=False)
+class Roads(Columns):
+    """A road network: straight segments between nodes. `one_way` ones run from their first node to their second."""
+
+    nodes: Array = column("float64", ("V", 2), "m")
+    segments: Array = column("int32", ("S", 2))
+    one_way: Array = column("bool", ("S",), default=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Zones(Table):
+    """Named rectangles of the floor, axis-parallel: (x_min, y_min, x_max, y_max)."""
+
+    name: Array = column("str")
+    bounds: Array = column("float64", ("N", 4), "m")
+
+    def locate(self, position: ArrayLike) -> Array:
+        """(...,) int16: the first zone that holds each (..., 2 or 3) position, -1 for none."""
+        p = np.asarray(position, dtype=np.float64)[..., None, :2]
+        inside = ((p >= self.bounds[:, :2]) & (p <= self.bounds[:, 2:])).all(axis=-1)
+        if not len(self):
+            return np.full(inside.shape[:-1], -1, dtype=np.int16)
+        return np.where(inside.any(axis=-1), inside.argmax(axis=-1), -1).astype(np.int16)
