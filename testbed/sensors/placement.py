@@ -47,15 +47,15 @@ def place_antennas(config: RfidConfig, sensor: str, scene: Scene) -> tuple[Anten
     poses = np.array([pose for _, pose in ends]).reshape(-1, 7)
     rules = [rule for *_, rule in rows]
     antennas = Antennas(
-        id=names,
+        id=np.array(names),
         position=poses[:, :3],
         quaternion=poses[:, 3:],
-        gain=[r.gain_dbi for r in rules],
+        gain=np.array([r.gain_dbi for r in rules]),
         beamwidth=np.deg2rad([r.beamwidth_deg for r in rules]),
-        front_to_back=[r.front_to_back_db for r in rules],
-        power=[config.power_dbm if r.power_dbm is None else r.power_dbm for r in rules],
-        carrier=["" if body == WORLD else scene.moving_names[body] for body, _ in ends],
-        reader=[sensor] * len(rows),
+        front_to_back=np.array([r.front_to_back_db for r in rules]),
+        power=np.array([config.power_dbm if r.power_dbm is None else r.power_dbm for r in rules]),
+        carrier=np.array(["" if body == WORLD else scene.moving_names[body] for body, _ in ends]),
+        reader=np.array([sensor] * len(rows)),
     )
     return antennas, Ends(np.array([body for body, _ in ends], dtype=np.int64), poses)
 

@@ -1,0 +1,173 @@
+"""From a scenario and a trial's number to what happened and what was heard: move first, sense after. No estimator in here."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from testbed import frames
+from testbed.columns import Array, Table
+from testbed.plugins import load
+from testbed.protocols import ActorPlan, Sensed, Sensor, Surroundings, World
+from testbed.radio.materials import losses
+from testbed.recording import Recording, Trial
+from testbed.rng import Counter, keys_of
+from testbed.scene import Scene, Truth
+from testbed.tagging import choose_targets, place_tags
+from testbed.types import Antennas, References, Site
+
+if TYPE_CHECKING:
+    from testbed.scenario import Scenario
+
+
+class Simulator:
+    """Makes the trials of one scenario. Holds the world, so use it as a context manager; one a process.
+
+    Raises ScenarioError where the scenario asks for something that its world does not have (a tag on a body that isn't
+    there, an antenna on a mount that isn't there).
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self._actors = [_plan(section) for section in scenario.actors]
+        self._world: World = load("worlds", scenario.world.kind)(scenario.world.config)
+        try:
+            self.scene: Scene = self._world.scene(self._actors)
+            self.tagged, on = place_tags(scenario, self.scene)
+            self.aims = choose_targets(scenario, self.scene, self.tagged, on)
+            self._sensors = [self._sensor(section) for section in scenario.sensors]
+            self._check_radios()
+            self._caster = self._world.caster(self.scene, scenario.rays, *losses(self.scene.materials))
+        except BaseException:
+            self._world.close()
+            raise
+
+    def _sensor(self, section: Any) -> Sensor:
+        try:
+            return load("sensors", section.kind)(section.config, section.id, self.scene)
+        except ValueError as error:
+            raise self.scenario.problem(section.loc, str(error)) from None
+
+    def _check_radios(self) -> None:
+        """One hop table for the site, and every antenna under a name of its own."""
+        taken: dict[str, str] = {}
+        table: Array | None = None
+        for section, sensor in zip(self.scenario.sensors, self._sensors, strict=True):
+            for id in sensor.antennas().id:
+                if id in taken:
+                    raise self.scenario.problem(section.loc, f"antenna {str(id)!r} belongs to {taken[id]!r} already")
+                taken[id] = section.id
+            frequencies = sensor.frequencies()
+            if len(frequencies):
+                if table is not None and not np.array_equal(table, frequencies):
+                    raise self.scenario.problem(section.loc, "its carriers differ from another reader's: one site has one region")
+                table = frequencies
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give back the physics client, if there is one."""
+        self._world.close()
+
+    def trial(self, index: int, seed: int | None = None) -> Trial:
+        """One trial, a function of (scenario, seed, index) alone. `seed` is the scenario's where left out."""
+        scenario, root = self.scenario, self.scenario.seed if seed is None else seed
+        truth = self._world.move(
+            self.scene, self._actors, scenario.duration_s, root, index, step_hz=scenario.step_hz, truth_hz=scenario.truth_hz
+        )
+        around = self._surroundings(truth, root, index)
+        sensed, first = [], 0
+        for sensor in self._sensors:
+            sensed.append(sensor.sense(around, first))
+            first += len(sensor.antennas())
+        recording = Recording(
+            trial=index,
+            duration=scenario.duration_s,
+            site=self._site(root, index),
+            streams=_merged(sensed),
+            targets=self.aims.targets,
+            target_tags=self.aims.tags,
+            asked_sets=np.ones((1, len(self.tagged.tags)), dtype=bool),
+        )
+        stimulus = _stimulus([s.id for s in scenario.sensors], sensed)
+        return Trial(recording, truth, self.aims.body, self.aims.pose, stimulus)
+
+    def _surroundings(self, truth: Truth, root: int, index: int) -> Surroundings:
+        target_tags = np.unique(np.concatenate([*self.aims.tags, np.empty(0, dtype=np.int32)]))
+        return Surroundings(
+            scene=self.scene,
+            truth=truth,
+            tagged=self.tagged,
+            target_bodies=[str(body) for body in self.aims.targets.body],
+            target_tags=target_tags,
+            duration=self.scenario.duration_s,
+            caster=self._caster,
+            root=root,
+            trial=index,
+        )
+
+    def _site(self, root: int, index: int) -> Site:
+        """What an installer would know, with this trial's survey error."""
+        antennas = Antennas.concatenate([sensor.antennas() for sensor in self._sensors])
+        radios = [f for f in (sensor.frequencies() for sensor in self._sensors) if len(f)]
+        return Site(
+            antennas=_surveyed(antennas, self.scenario.survey, root, index),
+            tags=self.tagged.tags,
+            frequencies=radios[0] if radios else np.empty(0),
+            references=References.empty(),
+            obstacles=self.scene.static_boxes(),
+            roads=self.scene.roads,
+        )
+
+
+def _plan(section: Any) -> ActorPlan:
+    x, y = section.position_m or (section.route.waypoints_m[0] if section.route else (0.0, 0.0))
+    pose = np.concatenate([[x, y, 0.0], frames.from_euler(np.deg2rad(section.yaw_deg))])
+    actor = load("actors", section.kind)(section.config)
+    return ActorPlan(section.id, section.kind, section.motion, actor, section.route, pose)
+
+
+def _surveyed(antennas: Antennas, survey: Any, root: int, index: int) -> Antennas:
+    """Antennas as a survey finds them: each place and yaw off by a draw keyed by the antenna's own id."""
+    if not len(antennas) or (survey.antenna_position_std_m == 0 and survey.antenna_yaw_std_deg == 0):
+        return antennas
+    draws, keys = Counter(root, index, "survey.antennas"), keys_of(antennas.id)
+    off = survey.antenna_position_std_m * draws.normal(keys[:, None], np.arange(3))
+    turn = frames.from_euler(np.deg2rad(survey.antenna_yaw_std_deg) * draws.normal(keys, np.int64(3)))
+    return antennas.with_(position=antennas.position + off, quaternion=frames.multiply(turn, antennas.quaternion))
+
+
+def _merged(sensed: list[Sensed]) -> dict[str, Table]:
+    """Streams of all sensors by kind, in order of arrival. Rounds keep their numbers apart from one sensor to the next."""
+    kinds = list(dict.fromkeys(kind for s in sensed for kind in s.streams))
+    merged: dict[str, Table] = {}
+    for kind in kinds:
+        parts = _numbered([s.streams[kind] for s in sensed if kind in s.streams])
+        table = type(parts[0]).concatenate(parts)
+        arrival: Array | None = getattr(table, "t_arrival", None)
+        merged[kind] = table if arrival is None else table.take(np.argsort(arrival, kind="stable"))
+    return merged
+
+
+def _numbered(parts: list[Any]) -> list[Any]:
+    """Rounds (and their counts) of several readers, renumbered so that a number means one round: reader r, round k -> k·R + r."""
+    if len(parts) < 2 or not hasattr(parts[0], "round"):
+        return parts
+    changed = [p.with_(round=p.round * len(parts) + r) for r, p in enumerate(parts)]
+    return [p.with_(reader=np.full(len(p), r)) if hasattr(p, "reader") else p for r, p in enumerate(changed)]
+
+
+def _stimulus(ids: list[str], sensed: list[Sensed]) -> dict[str, float]:
+    """Each sensor's figures as "<sensor>.<name>", and over all sensors by their weights as "<name>"."""
+    found = {f"{id}.{name}": float(value) for id, s in zip(ids, sensed, strict=True) for name, (value, _) in s.stimulus.items()}
+    for name in dict.fromkeys(name for s in sensed for name in s.stimulus):
+        pairs = [s.stimulus[name] for s in sensed if name in s.stimulus and s.stimulus[name][1] > 0]
+        weight = sum(w for _, w in pairs)
+        found[name] = float(sum(v * w for v, w in pairs) / weight) if weight else float("nan")
+    return found
