@@ -108,8 +108,13 @@ class World(Protocol):
         """The hall with its actors at rest; the same for every trial."""
         ...
 
-    def move(self, scene: Scene, actors: Sequence[ActorPlan], duration: float, root: int, trial: int) -> Truth:
-        """Move the actors along their routes for `duration` s. A function of its arguments alone, bit for bit."""
+    def move(
+        self, scene: Scene, actors: Sequence[ActorPlan], duration: float, root: int, trial: int, step_hz: int = 240, truth_hz: int = 120
+    ) -> Truth:
+        """Move the actors along their routes for `duration` s, physics at `step_hz`, poses kept at `truth_hz` (a divisor of it).
+
+        A function of its arguments alone, bit for bit.
+        """
         ...
 
     def caster(self, scene: Scene, engine: str, entry_db: Array, per_metre_db: Array) -> Caster:

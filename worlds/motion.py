@@ -1,0 +1,55 @@
+"""Moving the actors of a scene through a trial: what is left is `Truth`, poses over time.
+
+Kinematic actors take their poses straight from their route's trip (numpy alone). As soon as one actor is dynamic the hall is
+built in the physics engine, where kinematic actors are moved along as obstacles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from testbed import rng
+from testbed.columns import Array
+from testbed.geometry import Roads
+from testbed.protocols import ActorPlan
+from testbed.scene import Scene, Truth
+from worlds.paths import plan
+
+
+class Mover:
+    """Moves actors; holds the physics client that dynamic ones need, made when first wanted and kept for the next trial."""
+
+    def move(self, scene: Scene, actors: Sequence[ActorPlan], duration: float, root: int, trial: int, step_hz: int, truth_hz: int) -> Truth:
+        """Poses at `truth_hz` from 0 to `duration` s, or up to one instant later where that is no whole number of instants.
+
+        A function of the arguments alone, bit for bit. Each actor's jitter is drawn from its own stream, "actors.<id>.route".
+        ValueError where truth_hz does not divide step_hz.
+        """
+        if step_hz % truth_hz:
+            raise ValueError(f"truth_hz {truth_hz} does not divide step_hz {step_hz}: every truth has to fall on a step")
+        trips = {a.id: plan(a.route, rng.stream(root, trial, f"actors.{a.id}.route")) for a in actors if a.motion != "parked"}
+        t = np.arange(int(np.ceil(duration * truth_hz - 1e-9)) + 1) / truth_hz
+        poses = {name: trips[name].pose(t) for name in trips}
+        names = scene.moving_names
+        stacked = np.stack([poses[n] for n in names], axis=1) if names else np.zeros((len(t), 0, 7))
+        segment = nearest_segment(scene.roads, stacked[..., :2])
+        return Truth(t, stacked, names, segment, scene.zones.locate(stacked[..., :3]))
+
+    def close(self) -> None:
+        """Disconnect from the physics engine."""
+
+
+def nearest_segment(roads: Roads | None, position: Array) -> Array:
+    """(...,) int32: the road segment nearest to each position (..., 2) m, -1 without roads. The lower index on a tie."""
+    if roads is None or not len(roads.segments):
+        return np.full(position.shape[:-1], -1, dtype=np.int32)
+    best, nearest = np.full(position.shape[:-1], np.inf), np.zeros(position.shape[:-1], dtype=np.int32)
+    for i, (a, b) in enumerate(roads.nodes[roads.segments]):
+        along = b - a
+        share = np.clip((position - a) @ along / max(along @ along, 1e-300), 0.0, 1.0)
+        distance = np.hypot(*np.moveaxis(position - a - share[..., None] * along, -1, 0))
+        closer = distance < best
+        best, nearest = np.where(closer, distance, best), np.where(closer, i, nearest).astype(np.int32)
+    return nearest
