@@ -28,7 +28,7 @@ class Ends:
     def at(self, truth: Truth, index: Array, t: Array) -> Array:
         """World poses (..., 7) of the ends `index` (...) at times t (...)."""
         index, t = np.broadcast_arrays(index, t)
-        pose = np.array(self.pose[index])
+        pose = np.array(self.pose[index], dtype=np.float64)
         rides = self.body[index] != WORLD
         if rides.any():
             carrier = truth.pose(self.body[index[rides]], t[rides])
