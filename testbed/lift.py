@@ -61,7 +61,7 @@ class _Lifted:
         names = event.data.column_names()
         entries = zip(*(getattr(event.data, name).tolist() for name in names), strict=True)
         said = [
-            self._rows[row].update(event.kind, SimpleNamespace(zip(names, entry, strict=True)))
+            self._rows[row].update(event.kind, SimpleNamespace(**dict(zip(names, entry, strict=True))))
             for row, entry in zip(event.row.tolist(), entries, strict=True)
         ]
         used, log_likelihood, nis, dof = zip(*((True, math.nan, math.nan, 0) if s is None else s for s in said), strict=True)
