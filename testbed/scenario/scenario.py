@@ -1,0 +1,105 @@
+"""The scenario that everything else works with: validated, frozen, and able to say where each of its parts was written."""
+
+from __future__ import annotations
+
+import enum
+import hashlib
+import json
+from collections.abc import Mapping, Set
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+from pydantic_core import to_jsonable_python
+
+from testbed.scenario.claims import Claim
+from testbed.scenario.model import ActorSection, PriorModel, Section, SurveyModel, TagRule
+from testbed.scenario.problems import Loc, ScenarioError
+from testbed.scenario.source import Source
+
+_OUTSIDE_HASH = ("trials", "seed", "expect", "files")  # files are hashed as the tags they hold
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A scenario file, checked as a whole; units as in the fields' names.
+
+    document : the plain mapping behind it, after --set and with its tables under `files`: `from_dict(document)` is this scenario again
+    text     : the source as it was read; path : its file, None where there is none
+    """
+
+    name: str
+    title: str
+    seed: int
+    trials: int
+    duration_s: float
+    world: Section
+    actors: tuple[ActorSection, ...]
+    sensors: tuple[Section, ...]
+    estimators: tuple[Section, ...]
+    metrics: tuple[Section, ...]
+    tags: tuple[TagRule, ...]
+    targets: tuple[str, ...]
+    prior: PriorModel
+    report_hz: float
+    hold_s: float
+    step_hz: int
+    truth_hz: int
+    rays: str
+    survey: SurveyModel
+    expect: tuple[Claim, ...]
+    sweep: Mapping[str, list[Any]]
+    document: dict[str, Any] = field(repr=False, compare=False)
+    text: str = field(repr=False, compare=False)
+    path: Path | None = field(repr=False, compare=False)
+    source: Source = field(repr=False, compare=False)
+    swept: tuple[Point, ...] = field(default=(), repr=False, compare=False)
+
+    def points(self) -> list[Point]:
+        """The points of the sweep in the order of the file, the last path fastest; one point, as it is, without a sweep."""
+        return list(self.swept) or [Point(0, {}, self)]
+
+    @cached_property
+    def hash(self) -> str:
+        """sha256 (hex) of what is simulated and estimated: all values, defaults included, without trials, seed and expectations.
+
+        The same for the same values, however the file is ordered, commented or written (YAML, a mapping, "30 cm" for 0.3).
+        """
+        content = {
+            name: _canonical(value)
+            for name, value in ((n, getattr(self, n)) for n in self.__dataclass_fields__ if self.__dataclass_fields__[n].compare)
+            if name not in _OUTSIDE_HASH
+        }
+        return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()).hexdigest()
+
+    def problem(self, loc: Loc, message: str) -> ScenarioError:
+        """The error for a mistake that only a later stage can see, placed at `loc` (a section's or tag rule's `loc`, or beneath it)."""
+        return ScenarioError([self.source.problem(loc, message)])
+
+
+@dataclass(frozen=True)
+class Point:
+    """One point of a sweep: what it sets (path to value) and the scenario that results, which has no sweep."""
+
+    index: int
+    set: dict[str, Any]
+    scenario: Scenario
+
+
+def _canonical(value: Any) -> Any:
+    """A value as JSON that does not depend on the order of keys or sets, nor on where it stands in the file."""
+    if isinstance(value, BaseModel):
+        return {name: _canonical(getattr(value, name)) for name in type(value).model_fields}
+    if isinstance(value, (Section, ActorSection)):
+        return {name: _canonical(getattr(value, name)) for name in value.__dataclass_fields__ if name != "loc"}
+    if isinstance(value, Mapping):
+        return {str(name): _canonical(item) for name, item in value.items()}
+    if isinstance(value, Set):
+        return sorted((_canonical(item) for item in value), key=lambda item: json.dumps(item, sort_keys=True))
+    if isinstance(value, (list, tuple)):
+        return [_canonical(item) for item in value]
+    if isinstance(value, enum.Enum):
+        return _canonical(value.value)
+    return value if value is None or isinstance(value, (bool, int, float, str)) else to_jsonable_python(value)
