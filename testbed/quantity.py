@@ -8,6 +8,7 @@ never infinite.
 from __future__ import annotations
 
 import math
+import re
 from functools import cache, partial
 from typing import Annotated, Any
 
@@ -21,6 +22,7 @@ class Config(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
 
 
+_UNIT_TEXT = re.compile(r"[A-Za-zµμ°%]+[A-Za-z0-9µμ°/^* -]*")
 _LOGARITHMIC = {"dB", "dBm", "dBi"}  # levels and gains: no conversion makes sense, the unit must be the field's own
 
 
@@ -49,16 +51,22 @@ def convert(value: Any, unit: str) -> Any:
     if len(text) > 60:
         raise ValueError(f"a number in {unit} is wanted, not a text of {len(text)} characters")
     number, _, given = text.partition(" ")
+    size = _number(number, value, unit)
     if not given:
-        return _number(number, value, unit)
-    try:  # only the unit goes to pint's parser: an expression in a stranger's file is not evaluated
-        factor = _registry().Unit(given.strip())
-        return float(_registry().Quantity(_number(number, value, unit), factor).to(unit or "dimensionless").magnitude)
+        return size
+    if not _UNIT_TEXT.fullmatch(given):  # only the unit goes to pint's parser, and only what can be a unit
+        raise ValueError(_unknown(value, unit))
+    try:
+        return float(_registry().Quantity(size, _registry().Unit(given.strip())).to(unit or "dimensionless").magnitude)
     except pint.DimensionalityError:
         raise ValueError(f"{value!r} is not a quantity in {unit or 'plain numbers'}: the units don't fit") from None
-    except (pint.PintError, AttributeError, TypeError, ValueError, KeyError, OverflowError):
-        wanted = f'as in "1.5 {unit}"' if unit else "a plain number is wanted"
-        raise ValueError(f"{value!r} is not a number with a known unit ({wanted})") from None
+    except Exception:  # the parser of units raises whatever its tokens make it raise
+        raise ValueError(_unknown(value, unit)) from None
+
+
+def _unknown(value: str, unit: str) -> str:
+    wanted = f'as in "1.5 {unit}"' if unit else "a plain number is wanted"
+    return f"{value!r} is not a number with a known unit ({wanted})"
 
 
 def _number(text: str, value: str, unit: str) -> float:

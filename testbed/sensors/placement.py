@@ -10,7 +10,7 @@ from testbed import frames
 from testbed.plugins import suggest
 from testbed.radio.links import Ends
 from testbed.scene import WORLD, Scene
-from testbed.sensors.rfid_config import AntennaRule, RfidConfig
+from testbed.sensors.rfid_section import AntennaRule, RfidConfig
 from testbed.types import Antennas
 
 

@@ -21,7 +21,7 @@ from testbed.radio.regions import REGIONS
 from testbed.rng import Counter, keys_of
 from testbed.scene import Scene
 from testbed.sensors.placement import place_antennas
-from testbed.sensors.rfid_config import RfidConfig
+from testbed.sensors.rfid_section import RfidConfig
 from testbed.types import Antennas, Counts, Reads, Rounds
 from testbed.units import SPEED_OF_LIGHT
 

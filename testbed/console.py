@@ -1,0 +1,81 @@
+"""What the command prints for people: tables of results, claims, findings. Computes nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from rich.console import Console
+from rich.table import Table
+
+from testbed.doctor import Finding
+from testbed.evaluate import ClaimResult, Interval, Summary
+
+# column of the results -> heading; those that no row has a value of are left out
+HEADINGS = {
+    "position_error_m.mean": "mean error m",
+    "position_error_m.p50": "p50 m",
+    "position_error_m.p95": "p95 m",
+    "position_error_m.final": "final m",
+    "availability": "available",
+    "nees.mean": "NEES",
+    "nees.inside_95": "in 95 %",
+    "nis.mean": "NIS/dof",
+    "time_lost_s.total": "lost s",
+}
+
+
+def amount(interval: Interval | None) -> str:
+    """A mean with its standard error, as "0.312 ± 0.010"; "–" where there is none."""
+    if interval is None or math.isnan(interval.mean):
+        return "–"
+    digits = 3 if abs(interval.mean) < 100 else 1
+    spread = "" if math.isnan(interval.se) else f" ± {interval.se:.{digits}f}"
+    return f"{interval.mean:.{digits}f}{spread}"
+
+
+def results(console: Console, title: str, summaries: Sequence[Summary], sets: Mapping[int, Mapping[str, object]]) -> None:
+    """One table a point of the sweep: an estimator a row, means over trials with their standard errors."""
+    for point in dict.fromkeys(s.point for s in summaries):
+        here = [s for s in summaries if s.point == point]
+        shown = [c for c in HEADINGS if any(c in s.statistics and not math.isnan(s.statistics[c].mean) for s in here)]
+        swept = ", ".join(f"{path} = {value}" for path, value in sets.get(point, {}).items())
+        table = Table(title=f"{title}{': ' + swept if swept else ''}", title_justify="left", caption_justify="left")
+        table.add_column("estimator")
+        for column in shown:
+            table.add_column(HEADINGS[column], justify="right")
+        table.add_column("trials", justify="right")
+        for s in here:
+            n = max((i.n for i in s.statistics.values()), default=0)
+            table.add_row(s.estimator, *[amount(s.statistics.get(column)) for column in shown], str(n))
+        table.caption = "mean over trials ± standard error"
+        limits = next((s.limits["nees.mean"] for s in here if "nees.mean" in s.limits), None)
+        if limits and not math.isnan(limits[0]):
+            table.caption += f"; NEES of an honest filter: {limits[0]:.1f} to {limits[1]:.1f} (95 %)"
+        console.print(table)
+
+
+def world(console: Console, stimulus: Mapping[str, Interval]) -> None:
+    """What the world offered, in one line a figure."""
+    for name, interval in stimulus.items():
+        console.print(f"  world.{name}: {amount(interval)}", highlight=False)
+
+
+def claims(console: Console, judged: Sequence[ClaimResult], path: str) -> None:
+    """Expectations that held, and those that did not with their place in the file."""
+    for claim in judged:
+        low, high = claim.interval
+        between = "" if math.isnan(low) else f" (95 % interval {low:.4g} to {high:.4g})"
+        got = "no value" if math.isnan(claim.value) else f"{claim.value:.4g}"
+        mark = "[green]holds[/green]" if claim.ok else "[red]FAILED[/red]"
+        note = f"; {claim.note}" if claim.note else ""
+        console.print(f"{mark} {path}:{claim.line}: {claim.text}: got {got}{between}{note}", highlight=False)
+
+
+def findings(console: Console, found: Sequence[Finding]) -> None:
+    """The doctor's list."""
+    marks = {"ok": "[green]ok    [/green]", "note": "[yellow]note  [/yellow]", "broken": "[red]BROKEN[/red]"}
+    for finding in found:
+        console.print(f"{marks[finding.level]} {finding.what}", highlight=False, soft_wrap=True)
+        if finding.mend:
+            console.print(f"       {finding.mend}", highlight=False, markup=False, soft_wrap=True)
