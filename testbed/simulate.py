@@ -26,10 +26,10 @@ class Simulator:
     """Makes the trials of one scenario. Holds the world, so use it as a context manager; one a process.
 
     Raises ScenarioError where the scenario asks for something that its world does not have (a tag on a body that isn't
-    there, an antenna on a mount that isn't there).
+    there, an antenna on a mount that isn't there). With `rays` false no caster is made: enough to check a scenario, not to run it.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, rays: bool = True) -> None:
         self.scenario = scenario
         self._actors = [_plan(section) for section in scenario.actors]
         self._world: World = load("worlds", scenario.world.kind)(scenario.world.config)
@@ -39,7 +39,8 @@ class Simulator:
             self.aims = choose_targets(scenario, self.scene, self.tagged, on)
             self._sensors = [self._sensor(section) for section in scenario.sensors]
             self._check_radios()
-            self._caster = self._world.caster(self.scene, scenario.rays, *losses(self.scene.materials))
+            materials = losses(self.scene.materials)
+            self._caster = self._world.caster(self.scene, scenario.rays, *materials) if rays else None
         except BaseException:
             self._world.close()
             raise
@@ -99,6 +100,8 @@ class Simulator:
         return Trial(recording, truth, self.aims.body, self.aims.pose, stimulus)
 
     def _surroundings(self, truth: Truth, root: int, index: int) -> Surroundings:
+        if self._caster is None:
+            raise RuntimeError("this simulator was made without rays: it can check a scenario, not run it")
         target_tags = np.unique(np.concatenate([*self.aims.tags, np.empty(0, dtype=np.int32)]))
         return Surroundings(
             scene=self.scene,

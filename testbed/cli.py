@@ -1,0 +1,185 @@
+"""The command `testbed`. Results go to stdout, logs and progress to stderr; exit codes are in `Exit`."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from enum import IntEnum
+from pathlib import Path
+from typing import Annotated, Any, TextIO
+
+import typer
+from rich.console import Console
+
+from testbed import plugins
+from testbed.scenario import ScenarioError
+
+app = typer.Typer(
+    name="testbed",
+    help="A testbed for finding things in a warehouse by radio.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+class Exit(IntEnum):
+    """What the exit code says."""
+
+    FINE = 0
+    EXPECTATION = 1  # a claim of a scenario did not hold
+    INPUT = 2  # bad input: a file, a name, an option
+    CRASH = 3  # a trial crashed; the others are kept
+    INTERRUPTED = 130
+
+
+Names = Annotated[list[str], typer.Argument(help="Scenario files, or names of scenarios that ship (see `testbed scenarios`).")]
+Sets = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Set a value of the scenario; may come several times.")]
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command; the entry point of the console script and of `python -m testbed`."""
+    _keep_stdout_clean()
+    try:
+        code = app(arguments, standalone_mode=False)
+    except (ScenarioError, plugins.UnknownPlugin, plugins.BrokenPlugin) as error:
+        code = _complain(str(error))
+    except typer.Exit as leaving:
+        code = leaving.exit_code
+    except typer.Abort:
+        code = Exit.INTERRUPTED
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)  # noqa: T201
+        code = Exit.INTERRUPTED
+    except BrokenPipeError:  # whoever read the results has gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        code = Exit.FINE
+    except Exception as error:
+        code = _known(error)
+    sys.exit(int(code or Exit.FINE))
+
+
+def _known(error: Exception) -> int:
+    """Errors of use, from typer and from the store, in their own words; others keep their traceback."""
+    from testbed.store import StoreError
+
+    show = getattr(error, "show", None)
+    if show is not None:  # a usage error of the command line
+        show()
+        return Exit.INPUT
+    if isinstance(error, StoreError):
+        return _complain(str(error))
+    raise error
+
+
+def _complain(message: str) -> int:
+    print(message, file=sys.stderr)  # noqa: T201
+    return Exit.INPUT
+
+
+def _keep_stdout_clean() -> None:
+    """Let whatever native code prints go to stderr: stdout carries results, JSON among them, and nothing else."""
+    try:
+        if sys.stdout.fileno() != 1:
+            return
+    except (OSError, ValueError):  # captured, or closed: not ours to move
+        return
+    sys.stdout.flush()
+    kept = os.dup(1)
+    os.dup2(2, 1)
+    sys.stdout = os.fdopen(kept, "w", encoding="utf-8", newline="\n")
+
+
+def _out() -> Console:
+    """For results. Wide enough for a table where it is no terminal."""
+    return _console(sys.stdout)
+
+
+def _console(file: TextIO) -> Console:
+    return Console(file=file, width=None if file.isatty() else 160, highlight=False)
+
+
+def _print_json(document: Any) -> None:
+    sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
+
+
+@app.command()
+def validate(scenarios: Names, sets: Sets = None) -> None:
+    """Check scenario files, the places of tags and antennas included, without running anything. Needs no pybullet."""
+    from testbed.scenario import load
+    from testbed.simulate import Simulator
+
+    wrong: list[str] = []
+    for name in scenarios:
+        try:
+            scenario = load(name, sets or ())
+            placed = []
+            for point in scenario.points():
+                with Simulator(point.scenario, rays=False) as simulator:
+                    placed.append(f"{len(simulator.tagged.tags)} tags, {len(simulator.aims.targets)} targets")
+            _out().print(f"{name}: fine: {len(placed)} point(s) of {scenario.trials} trials; {placed[0]}", soft_wrap=True)
+        except ScenarioError as error:
+            wrong.append(str(error))
+    if wrong:
+        raise typer.Exit(_complain("\n".join(wrong)))
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON Schema of scenario files, with all plug-ins that are installed: for an editor's completion and checks."""
+    from testbed.scenario.schema import json_schema
+
+    _print_json(json_schema())
+
+
+@app.command()
+def init(
+    path: Annotated[Path, typer.Argument(help="The file to write.")] = Path("scenario.yaml"),
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
+) -> None:
+    """Write a commented scenario to start from, and the schema beside it."""
+    from testbed.scenario.schema import json_schema
+    from testbed.scenario.starter import starter
+
+    beside = path.parent / "scenario.schema.json"
+    if path.exists() and not force:
+        raise typer.Exit(_complain(f"{path} is there already: choose another name, or give --force"))
+    try:
+        path.write_text(starter(), encoding="utf-8")
+        beside.write_text(json.dumps(json_schema(), indent=1), encoding="utf-8")
+    except OSError as error:
+        raise typer.Exit(_complain(f"{path} can't be written: {error.strerror}")) from None
+    _out().print(f"wrote {path} and {beside}; now: testbed run {path}", soft_wrap=True)
+
+
+@app.command()
+def scenarios() -> None:
+    """List the scenarios that ship."""
+    from testbed.scenario import listing
+
+    for name, title, _ in listing():
+        _out().print(f"{name:28} {title}", soft_wrap=True)
+
+
+@app.command("plugins")
+def plugins_(group: Annotated[str | None, typer.Argument(help="worlds, actors, sensors, estimators or metrics")] = None) -> None:
+    """List the plug-ins, and where each comes from."""
+    if group is not None and group not in plugins.GROUPS:
+        raise typer.Exit(_complain(f"no group {group!r}{plugins.suggest(group, list(plugins.GROUPS))}"))
+    for one in plugins.GROUPS if group is None else (group,):
+        _out().print(f"[bold]{one}[/bold]")
+        for name in plugins.names(one):
+            _out().print(f"  {name:20} {plugins.origin(one, name)}", soft_wrap=True)
+
+
+@app.command()
+def doctor() -> None:
+    """Say what is missing, shadowed or half built on this machine, and what to do about it."""
+    from testbed import console
+    from testbed.doctor import examine
+
+    found = examine()
+    console.findings(_out(), found)
+    if any(finding.level == "broken" for finding in found):
+        raise typer.Exit(Exit.INPUT)
