@@ -11,8 +11,10 @@ from testbed.scenario.load import find, from_dict, from_text, listing, load, onl
 from testbed.scenario.model import ActorSection, PriorModel, Section, SurveyModel, TagRule
 from testbed.scenario.problems import Problem, ScenarioError
 from testbed.scenario.scenario import Point, Scenario
+from testbed.scenario.schema import json_schema
+from testbed.scenario.starter import starter
 
 __all__ = [
     "ActorSection", "Claim", "Point", "PriorModel", "Problem", "Route", "Scenario", "ScenarioError", "Section", "SurveyModel", "TagRule",
-    "find", "from_dict", "from_text", "listing", "load", "only", "override",
+    "find", "from_dict", "from_text", "json_schema", "listing", "load", "only", "override", "starter",
 ]  # fmt: skip

@@ -34,11 +34,16 @@ def _threefold(value: Any) -> Any:
     return value if isinstance(value, (list, tuple)) else [value] * 3
 
 
+_three, _three_speeds = tuple[Spread, Spread, Spread], tuple[SpeedSpread, SpeedSpread, SpeedSpread]
+_Spreads = Annotated[_three, BeforeValidator(_threefold, json_schema_input_type=_three | Spread)]
+_SpeedSpreads = Annotated[_three_speeds, BeforeValidator(_threefold, json_schema_input_type=_three_speeds | SpeedSpread)]
+
+
 class PriorModel(Config):
     """What an estimator is told before it starts: a normal distribution, drawn around the truth at t = 0 or given."""
 
-    position_std_m: Annotated[tuple[Spread, Spread, Spread], BeforeValidator(_threefold)] = (0.5, 0.5, 0.5)
-    velocity_std_mps: Annotated[tuple[SpeedSpread, SpeedSpread, SpeedSpread], BeforeValidator(_threefold)] = (0.25, 0.25, 0.25)
+    position_std_m: _Spreads = (0.5, 0.5, 0.5)
+    velocity_std_mps: _SpeedSpreads = (0.25, 0.25, 0.25)
     position_m: Point3 | None = None
     velocity_mps: tuple[MetresPerSecond, MetresPerSecond, MetresPerSecond] | None = None
 
