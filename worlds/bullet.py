@@ -105,10 +105,10 @@ class Client:
     Everything that PyBullet does holds the interpreter lock: run several in processes, never in threads.
     """
 
-    def __init__(self, step_s: float = 1 / 240, gravity: float = 9.81) -> None:
+    def __init__(self, step_s: float = 1 / 240, gravity: float = 9.81, solver_iterations: int = 50) -> None:
         if not (0 < step_s <= 0.1 and np.isfinite(gravity)):
             raise ValueError(f"a physics step of {step_s} s under {gravity} m/s²: the step must lie in (0, 0.1] s and gravity be finite")
-        self.step_s, self.gravity = step_s, gravity
+        self.step_s, self.gravity, self.solver_iterations = step_s, gravity, solver_iterations
         self._p = _pybullet()
         with captured():
             self._id: int = self._p.connect(self._p.DIRECT)
@@ -142,7 +142,11 @@ class Client:
         # pairs in a set order make runs bit-identical across processes. File caching would answer a second model that is
         # written under an old name with the first one, without an error
         self._p.setPhysicsEngineParameter(
-            fixedTimeStep=self.step_s, deterministicOverlappingPairs=1, enableFileCaching=0, physicsClientId=self._id
+            fixedTimeStep=self.step_s,
+            numSolverIterations=self.solver_iterations,
+            deterministicOverlappingPairs=1,
+            enableFileCaching=0,
+            physicsClientId=self._id,
         )
 
     # ------------------------------------------------------------ bodies
@@ -225,6 +229,16 @@ class Client:
         """(7,): where the body's own frame is now."""
         position, quaternion = self._p.getBasePositionAndOrientation(handle.uid, physicsClientId=self._id)
         return frames.compose(np.array([*position, *_wxyz(quaternion)]), _inverse(handle.com))
+
+    def centre(self, handle: Handle) -> tuple[float, ...]:
+        """Where the centre of mass is now, (x, y, z, qw, qx, qy, qz): plain floats without numpy, for drivers, who look at every step."""
+        position, quaternion = self._p.getBasePositionAndOrientation(handle.uid, physicsClientId=self._id)
+        return (*position, *_wxyz(quaternion))
+
+    def put(self, handle: Handle, centre: Sequence[float]) -> None:
+        """`place` by the pose (7,) of the centre of mass, unchecked, for bodies that are moved at every step."""
+        x, y, z, qw, qx, qy, qz = centre
+        self._p.resetBasePositionAndOrientation(handle.uid, (x, y, z), (qx, qy, qz, qw), physicsClientId=self._id)
 
     def poses(self, handles: Sequence[Handle]) -> Array:
         """(n, 7): where the frames of some bodies are now."""
@@ -367,6 +381,11 @@ class Client:
                 return
             number += 1
         raise RuntimeError(f"{handle.name} can't be hit by a ray from above: PyBullet lost its shape")
+
+
+def base_poses(handle: Handle, centres: ArrayLike) -> Array:
+    """(..., 7): poses of a body's own frame from those of its centre of mass (`Client.centre`)."""
+    return frames.compose(centres, _inverse(handle.com))
 
 
 def _xyzw(q: Array) -> list[float]:

@@ -6,7 +6,8 @@ built in the physics engine, where kinematic actors are moved along as obstacles
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,11 +16,19 @@ from testbed.columns import Array
 from testbed.geometry import Roads
 from testbed.protocols import ActorPlan
 from testbed.scene import Scene, Truth
-from worlds.paths import plan
+from worlds.paths import Trip, plan
+
+if TYPE_CHECKING:
+    from worlds.bullet import Client
+
+SOLVER_ITERATIONS = 20  # of the contact solver; with PyBullet's 50 vehicles run no straighter, and a step takes half as long again
 
 
 class Mover:
     """Moves actors; holds the physics client that dynamic ones need, made when first wanted and kept for the next trial."""
+
+    def __init__(self) -> None:
+        self._client: Client | None = None
 
     def move(self, scene: Scene, actors: Sequence[ActorPlan], duration: float, root: int, trial: int, step_hz: int, truth_hz: int) -> Truth:
         """Poses at `truth_hz` from 0 to `duration` s, or up to one instant later where that is no whole number of instants.
@@ -31,14 +40,30 @@ class Mover:
             raise ValueError(f"truth_hz {truth_hz} does not divide step_hz {step_hz}: every truth has to fall on a step")
         trips = {a.id: plan(a.route, rng.stream(root, trial, f"actors.{a.id}.route")) for a in actors if a.motion != "parked"}
         t = np.arange(int(np.ceil(duration * truth_hz - 1e-9)) + 1) / truth_hz
-        poses = {name: trips[name].pose(t) for name in trips}
+        poses = {a.id: trips[a.id].pose(t) for a in actors if a.motion == "kinematic"}
+        if any(a.motion == "dynamic" for a in actors):
+            poses |= self._drive(scene, actors, trips, (len(t) - 1) / truth_hz, step_hz, truth_hz)
         names = scene.moving_names
         stacked = np.stack([poses[n] for n in names], axis=1) if names else np.zeros((len(t), 0, 7))
         segment = nearest_segment(scene.roads, stacked[..., :2])
         return Truth(t, stacked, names, segment, scene.zones.locate(stacked[..., :3]))
 
+    def _drive(
+        self, scene: Scene, actors: Sequence[ActorPlan], trips: Mapping[str, Trip], duration: float, step_hz: int, truth_hz: int
+    ) -> dict[str, Array]:
+        from worlds.bullet import Client  # only here: scenes and kinematic motion work where there is no pybullet
+        from worlds.dynamics import drive_all
+
+        if self._client is None or self._client.step_s != 1 / step_hz:
+            self.close()
+            self._client = Client(1 / step_hz, solver_iterations=SOLVER_ITERATIONS)
+        return drive_all(self._client, scene, actors, trips, duration, step_hz // truth_hz)
+
     def close(self) -> None:
         """Disconnect from the physics engine."""
+        if self._client is not None:
+            self._client.close()
+            self._client = None
 
 
 def nearest_segment(roads: Roads | None, position: Array) -> Array:

@@ -67,8 +67,8 @@ class Builder:
         if not self._mounts:
             return Mounts.empty()
         name, group, use, position, quaternion = zip(*self._mounts, strict=True)
-        text = (np.array(column, dtype=np.str_) for column in (name, group, use))
-        return Mounts(*text, np.zeros(len(name)), np.array(position), np.array(quaternion))
+        names, groups, uses = (np.array(text, dtype=np.str_) for text in (name, group, use))
+        return Mounts(names, groups, uses, np.zeros(len(name)), np.array(position), np.array(quaternion))
 
     def part(self, name: str, kind: str, pose: Array) -> Part:
         """The body, standing at `pose` (7,)."""
