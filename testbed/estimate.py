@@ -133,7 +133,7 @@ class _Run:
         self._refused[event.row] += ~info.used
         said = (info.dof > 0) & np.isfinite(info.nis)
         if said.any():
-            t = event.data.t[said]  # pyright: ignore[reportAttributeAccessIssue]  every event's table has one
+            t = event.data.t[said]
             self._innovations.append(Innovations(event.row[said], t, info.nis[said], info.dof[said], info.log_likelihood[said]))
 
     def _stacked(self) -> Track:

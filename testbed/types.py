@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -138,12 +138,12 @@ class Event:
 
     kind : the stream's kind, as an estimator names it in `consumes` ("reads", "odometry", ...)
     row  : (E,) int64, distinct and ascending, which of the estimator's B rows each entry is for
-    data : E entries, entry i for row `row[i]`
+    data : the kind's Table of E entries (`Reads`, `RoundCounts` for "rounds", ...), entry i for row `row[i]`
     """
 
     kind: str
     row: Array
-    data: Table
+    data: Any
 
     def __len__(self) -> int:
         return len(self.row)
