@@ -1,0 +1,107 @@
+"""A PyBullet client that is only looked at: coloured meshes without collision shapes, and PyBullet's software renderer.
+
+`ER_TINY_RENDERER` needs neither a display nor OpenGL. Like `worlds.bullet`, on which it stands, this file keeps the engine's ways
+to itself: what comes out are plain arrays with depths in metres.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from testbed import frames
+from testbed.columns import Array
+from testbed.geometry import Boxes
+from testbed.view import Camera
+from worlds.bullet import Client, Handle
+
+BOXES_PER_MESH = 500  # 24 corners each: far from the engine's limits on a mesh
+LIGHT = np.array([0.35, -0.45, 0.82])  # towards the light, world frame: every visible side of a box gets a brightness of its own
+AMBIENT, DIFFUSE = 0.62, 0.42  # a face turned to the light is a little brighter than its colour, one turned away two thirds of it
+
+
+class VisualClient(Client):
+    """Bodies that can be seen but not touched. Made, placed and closed like those of its base."""
+
+    def show(self, boxes: Boxes, name: str, colour: ArrayLike, pose: ArrayLike = frames.IDENTITY) -> list[Handle]:
+        """Boxes in the frame `pose` (7,), in one colour (3,) of [0, 1]: a few meshes, for many separate boxes render slowly."""
+        rgba = [*np.asarray(colour, dtype=np.float64).tolist(), 1.0]
+        handles = []
+        for first in range(0, len(boxes), BOXES_PER_MESH):
+            corners, normals, triangles = mesh(boxes.take(slice(first, first + BOXES_PER_MESH)))
+            shape = self._p.createVisualShape(
+                self._p.GEOM_MESH,
+                vertices=corners.tolist(),
+                normals=normals.tolist(),
+                indices=triangles.tolist(),
+                rgbaColor=rgba,
+                physicsClientId=self._id,
+            )
+            if shape < 0:
+                raise RuntimeError(f"PyBullet made no mesh of {name}")
+            handle = self._handle(self._p.createMultiBody(0, -1, shape, physicsClientId=self._id), name)
+            self.place(handle, pose)
+            handles.append(handle)
+        return handles
+
+    def picture(self, camera: Camera) -> tuple[Array, Array, Array]:
+        """What the camera sees: (H, W, 3) uint8, depth (H, W) float32 in m along the optical axis, PyBullet's body numbers (H, W) int32.
+
+        Depth is inf and the number -1 where nothing is seen. No shadows: the engine's own are cast by a light of fixed reach.
+        """
+        width, height = camera.width, camera.height
+        _, _, rgba, buffer, number = self._p.getCameraImage(
+            width,
+            height,
+            viewMatrix=_columns(camera.view_matrix()),
+            projectionMatrix=_columns(_nudge(camera) @ camera.projection_matrix()),
+            lightDirection=(LIGHT / np.linalg.norm(LIGHT)).tolist(),
+            lightColor=[1.0, 1.0, 1.0],
+            lightAmbientCoeff=AMBIENT,
+            lightDiffuseCoeff=DIFFUSE,
+            lightSpecularCoeff=0.0,
+            shadow=0,
+            renderer=self._p.ER_TINY_RENDERER,
+            physicsClientId=self._id,
+        )
+        # a PyBullet that was built without numpy gives tuples
+        colours = np.asarray(rgba, dtype=np.uint8).reshape(height, width, 4)[..., :3]
+        found = np.asarray(number, dtype=np.int32).reshape(height, width)
+        share = np.asarray(buffer, dtype=np.float32).reshape(height, width).astype(np.float64)
+        near, far = camera.near, camera.far
+        depth = np.where(found >= 0, far * near / (far - (far - near) * share), np.inf)
+        return colours, depth.astype(np.float32), found
+
+
+def mesh(boxes: Boxes) -> tuple[Array, Array, Array]:
+    """Corners (24 N, 3), their normals (24 N, 3) and triangles (36 N,) int64 of N boxes, in the frame the boxes are given in.
+
+    Four corners a side, since each side has a normal of its own; counter-clockwise as seen from outside.
+    """
+    sides, turns = [], []
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            normal, along = np.zeros(3), np.zeros(3)
+            normal[axis], along[(axis + 1) % 3] = sign, 1.0
+            across = np.cross(normal, along)
+            sides += [normal + a * along + b * across for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+            turns += [normal] * 4
+    q = boxes.quaternion[:, None]
+    corners = boxes.center[:, None] + frames.rotate(q, np.array(sides) * boxes.half[:, None])
+    normals = frames.rotate(q, np.broadcast_to(np.array(turns), corners.shape))
+    one = (np.array([0, 1, 2, 0, 2, 3]) + 4 * np.arange(6)[:, None]).ravel()
+    triangles = (one + 24 * np.arange(len(boxes))[:, None]).ravel()
+    return corners.reshape(-1, 3), normals.reshape(-1, 3), triangles
+
+
+def _nudge(camera: Camera) -> Array:
+    """(4, 4) in clip space. TinyRenderer samples pixel (u, v) half a pixel left of and below its middle: push the picture there."""
+    matrix = np.eye(4)
+    matrix[0, 3], matrix[1, 3] = -1.0 / camera.width, -1.0 / camera.height
+    return matrix
+
+
+def _columns(matrix: Array) -> list[Any]:
+    return matrix.T.ravel().tolist()
