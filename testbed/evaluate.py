@@ -11,11 +11,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import t as student
 
 from testbed.columns import Array
 from testbed.protocols import Metric
+from testbed.quantiles import chi2_quantile, student_quantile
 from testbed.recording import Trial
 from testbed.types import Track
 
@@ -86,7 +85,7 @@ def mean_interval(values: Array) -> Interval:
     if n < 2:
         return Interval(float(found[0]) if n else np.nan, np.nan, np.nan, np.nan, n)
     mean, se = float(found.mean()), float(found.std(ddof=1) / np.sqrt(n))
-    reach = float(student.ppf(0.5 + CONFIDENCE / 2, n - 1)) * se
+    reach = float(student_quantile(0.5 + CONFIDENCE / 2, n - 1)) * se
     return Interval(mean, se, mean - reach, mean + reach, n)
 
 
@@ -97,7 +96,7 @@ def chi2_limits(dof: float, n: int = 1) -> tuple[float, float]:
     """
     if not (dof > 0 and n > 0):
         return np.nan, np.nan
-    low, high = chi2.ppf([0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2], n * dof) / n
+    low, high = chi2_quantile([0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2], n * dof) / n
     return float(low), float(high)
 
 

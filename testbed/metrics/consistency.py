@@ -8,10 +8,10 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 import numpy as np
-from scipy.stats import chi2
 
 from testbed.columns import Array
 from testbed.metrics.track_error import difference, known_components, usable
+from testbed.quantiles import chi2_quantile
 from testbed.quantity import Config as BaseConfig
 from testbed.recording import Trial
 from testbed.types import POSITION, Innovations, Track
@@ -61,7 +61,7 @@ def _nees(track: Track, truth: Array, names: list[str]) -> dict[str, Array]:
     with np.errstate(invalid="ignore"):  # unusable rows may hold anything
         nees = np.where(stands, squared_mahalanobis(difference(track, truth, names), covariance), np.nan)
     there = np.isfinite(nees) & (len(names) > 0)
-    low, high = chi2.ppf([0.025, 0.975], len(names)) if names else (np.nan, np.nan)
+    low, high = chi2_quantile([0.025, 0.975], len(names)) if names else (np.nan, np.nan)
     inside = there & (nees >= low) & (nees <= high)
     times = there.sum(axis=0)
     return {
@@ -76,7 +76,7 @@ def _nees(track: Track, truth: Array, names: list[str]) -> dict[str, Array]:
 def _nis(innovations: Innovations, rows: int) -> dict[str, Array]:
     said = innovations.take(np.isfinite(innovations.nis) & (innovations.dof > 0))
     kinds, place = np.unique(said.dof, return_inverse=True)
-    low, high = chi2.ppf(0.025, kinds)[place], chi2.ppf(0.975, kinds)[place]
+    low, high = chi2_quantile(0.025, kinds)[place], chi2_quantile(0.975, kinds)[place]
     inside = (said.nis >= low) & (said.nis <= high)
 
     def total(weights: Array) -> Array:
