@@ -1,0 +1,1 @@
+"""Scenarios that ship. `testbed scenarios` lists them; `testbed run NAME` runs one from any folder."""

@@ -3,7 +3,7 @@
 A plug-in has one of two homes:
 
 * a folder that an entry point in the group `testbed.folders` names (inside this distribution: one file a plug-in; the
-  name is the file's, the class is named like the file, and only the file asked for is imported);
+  name is the file's, the class is named like the file and has a `Config` in its body, and only the file asked for is imported);
 * outside, an entry point of its own in the group `testbed.estimators` (or `testbed.worlds`, ...): `name = "module:Class"`.
 
 Folders are read as text to list what is there, so listing imports nothing. A scenario file can only name what is found here.
@@ -50,9 +50,18 @@ def _folder(group: str) -> dict[str, str]:
 
 
 def _plugin_class(path: Path) -> str | None:
-    """Name of the class in the file that is named like the file, or None: the file is a shared piece."""
+    """Name of the class in the file that is named like the file and has a Config of its own, or None: the file is a shared piece."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    return next((n.name for n in tree.body if isinstance(n, ast.ClassDef) and _plain(n.name) == _plain(path.stem)), None)
+    classes = (n for n in tree.body if isinstance(n, ast.ClassDef) and _plain(n.name) == _plain(path.stem))
+    return next((c.name for c in classes if any("Config" in _defined(statement) for statement in c.body)), None)
+
+
+def _defined(statement: ast.stmt) -> list[str]:
+    """Names that a statement in the body of a class defines."""
+    if isinstance(statement, ast.ClassDef):
+        return [statement.name]
+    targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target] if isinstance(statement, ast.AnnAssign) else []
+    return [target.id for target in targets if isinstance(target, ast.Name)]
 
 
 @cache
