@@ -21,6 +21,8 @@ from worlds.paths import Trip
 from worlds.vehicles import Drivable, model
 
 SETTLE_S = 0.25  # before t = 0, for the wheels to take the weight
+HALL = "the hall"
+OVERLAP = 0.005  # m: vehicles may start touching, not deeper in each other than this
 REACH = 2.6  # m above the floor: what hangs higher can't be run into
 FLOOR_FRICTION, WHEEL_FRICTION = 0.8, 1.0  # rubber on sealed concrete: 0.6 to 0.85
 
@@ -43,7 +45,7 @@ class Vehicle:
         self._radius = driven[0].radius
         self._torque = self._chassis.force * self._radius / len(driven)
         self._steer = f"steer_{driven[0].name}" if self._chassis.steered else None
-        self._angle = 0.0
+        self._angle, self._braked = 0.0, True
         self._follower = Follower(trip, client.step_s, duration)
         self.halt()
 
@@ -59,6 +61,9 @@ class Vehicle:
         yaw = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
         ahead = self.handle.com[0]  # the engine tells the centre of mass, the driver steers the origin
         speed, rate = self._follower.follow(x - ahead * math.cos(yaw), y - ahead * math.sin(yaw), yaw)
+        if self._braked and speed == rate == 0.0:
+            return  # the motors hold what they were told
+        self._braked = speed == rate == 0.0
         if self._steer is None:
             speeds = differential(speed, rate, self._places)
         else:
@@ -81,10 +86,11 @@ def drive_all(
     static = scene.static_boxes()
     low = static.take(static.center[:, 2] - static.half[:, 2] < REACH)
     if len(low):
-        client.load_boxes(low, "hall")
+        client.load_boxes(low, HALL)
     steps = round(duration / client.step_s)
     vehicles = [Vehicle(client, p, trips[p.id], duration) for p in plans if p.motion == "dynamic"]
     obstacles = [Obstacle(client, p, trips[p.id], steps) for p in plans if p.motion == "kinematic"]
+    _refuse_overlaps(client, scene, static, vehicles)
     client.step(round(SETTLE_S / client.step_s))
     seen: list[list[tuple[float, ...]]] = []
     for step in range(steps + 1):
@@ -97,6 +103,19 @@ def drive_all(
         client.step()
     centres = np.array(seen).reshape(len(seen), len(vehicles), 7)
     return {v.handle.name: base_poses(v.handle, centres[:, i]) for i, v in enumerate(vehicles)}
+
+
+def _refuse_overlaps(client: Client, scene: Scene, static: Boxes, vehicles: Sequence[Vehicle]) -> None:
+    """ValueError for a vehicle whose route starts inside something: the engine would shoot it out."""
+    client.refresh()
+    for vehicle in vehicles:
+        touching = client.contacts(vehicle.handle)
+        for i in np.flatnonzero(touching.gap < -OVERLAP):
+            name = client.name(int(touching.body[i, 1]))
+            if name == HALL:
+                local = frames.rotate(frames.conjugate(static.quaternion), touching.position[i] - static.center)
+                name = scene.bodies[static.body[(np.abs(local) - static.half).max(axis=1).argmin()]].name
+            raise ValueError(f"actor {vehicle.handle.name} starts {-touching.gap[i]:.2f} m inside {name}: move its first way point")
 
 
 class Obstacle:

@@ -16,6 +16,8 @@ from worlds.vehicles import Chassis, Wheel
 
 FRONT_RADIUS, REAR_RADIUS = 0.23, 0.18  # m
 FACE = 0.42  # m from the front axle to the face of the forks
+FORKS = 1.15  # m, their length
+SEAT = 0.98  # m, its height and that of the counterweight
 ROOF = 2.05  # m, overhead guard
 
 
@@ -43,7 +45,7 @@ class Forklift:
         self._front()
         self._mounts()
         if config.driver:
-            people.sit(self._built, -self._rear * 0.55, 0.98)
+            people.sit(self._built, -self._rear * 0.55 + 0.12, SEAT)
 
     @property
     def _rear(self) -> float:
@@ -51,11 +53,12 @@ class Forklift:
 
     def _body(self) -> None:
         half, rear, built = self.config.width_m / 2, self._rear, self._built
-        built.box("steel", (-rear, -half, 0.35), (-rear * 0.55, half, 0.98))  # counterweight
+        built.box("steel", (-rear, -half, 0.35), (-rear * 0.55, half, SEAT))  # counterweight
         built.box("steel", (-rear * 0.55, -half, 0.3), (0.25, half, 0.62))
+        built.box("plastic", (-rear * 0.55, -0.3, 0.62), (-rear * 0.55 + 0.5, 0.3, SEAT))
         for px in (-rear + 0.25, 0.15):
             for py in (-half, half - 0.05):
-                built.box("steel", (px, py, 0.98 if px < 0 else 0.62), (px + 0.05, py + 0.05, ROOF))
+                built.box("steel", (px, py, SEAT if px < 0 else 0.62), (px + 0.05, py + 0.05, ROOF))
         built.box("steel", (-rear + 0.25, -half, ROOF), (0.2, half, ROOF + 0.05))
         for py in (-half + 0.02, half - 0.2):
             built.box("rubber", (-FRONT_RADIUS, py, 0.0), (FRONT_RADIUS, py + 0.18, 0.29))
@@ -67,11 +70,11 @@ class Forklift:
             low, high = sorted((side * 0.28, side * 0.38))
             built.box("steel", (0.26, low, 0.08), (0.38, high, ROOF))  # mast
             low, high = sorted((side * 0.2, side * 0.32))
-            built.box("steel", (FACE, low, c.fork_height_m - 0.04), (FACE + 1.15, high, c.fork_height_m))
+            built.box("steel", (FACE, low, c.fork_height_m - 0.04), (FACE + FORKS, high, c.fork_height_m))
         built.box("steel", (0.38, -0.45, c.fork_height_m - 0.04), (FACE, 0.45, c.fork_height_m + 0.45))  # carriage
         if c.load != "none":
             goods = "carton" if c.load == "cartons" else "liquid_pallet"
-            pallet(built, (FACE + 0.01, -0.6), (FACE + 0.81, 0.6), c.fork_height_m + 0.001, goods, c.load_height_m)
+            pallet(built, (FACE + 0.01, -0.4), (FACE + 1.21, 0.4), c.fork_height_m + 0.001, goods, c.load_height_m)
 
     def _mounts(self) -> None:
         c, half, mount = self.config, self.config.width_m / 2, self._built.mount
@@ -81,7 +84,7 @@ class Forklift:
         mount("top", (-self._rear / 2, 0.0, ROOF + 0.05 + STAND_OFF), pitch=-np.pi / 2)
         mount("mast", (0.38 + STAND_OFF, 0.33, ROOF - 0.1), 0.0)
         loaded = c.load != "none"
-        mount("load", (FACE + (0.81 if loaded else 1.15) + STAND_OFF, 0.0, c.fork_height_m + (c.load_height_m / 2 if loaded else 0.05)))
+        mount("load", (FACE + (1.21 if loaded else FORKS) + STAND_OFF, 0.0, c.fork_height_m + (c.load_height_m / 2 if loaded else 0.05)))
         mount("reader", (0.38 + STAND_OFF, 0.0, ROOF - 0.05), use="antenna", group="reader")
 
     def boxes(self) -> tuple[Boxes, tuple[str, ...]]:
@@ -98,9 +101,9 @@ class Forklift:
         built = Builder()
         built.box("steel", (-rear, -half, 0.35), (0.38, half, ROOF))
         load = 0.0 if c.load == "none" else c.load_mass_kg
-        reach, height = (0.82, c.load_height_m) if load else (1.15, 0.1)
-        built.box("steel", (0.38, -0.6, c.fork_height_m), (FACE + reach, 0.6, c.fork_height_m + height))
-        own, ahead = -0.62 * c.wheelbase_m, FACE + 0.41
+        reach, height = (1.22, c.load_height_m) if load else (FORKS, 0.1)
+        built.box("steel", (0.38, -0.45, c.fork_height_m), (FACE + reach, 0.45, c.fork_height_m + height))
+        own, ahead = -0.62 * c.wheelbase_m, FACE + 0.61
         mass = c.mass_kg + load
         return Chassis(
             hull=built.boxes(),
