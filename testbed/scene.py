@@ -61,11 +61,9 @@ class Scene:
 
     def static_boxes(self) -> Boxes:
         """Boxes of all bodies that never move, in the world frame; `body` still indexes `bodies`."""
-        is_moving = np.array([b.moving for b in self.bodies], dtype=bool)
-        boxes = self.boxes.take(~is_moving[self.boxes.body] if len(self.bodies) else slice(None))
-        if not len(boxes):
-            return boxes
-        pose = self.rest_poses()[boxes.body]
+        is_moving = np.array([*(b.moving for b in self.bodies), False])  # the last one is the world's, for index -1
+        boxes = self.boxes.take(~is_moving[self.boxes.body])
+        pose = np.concatenate([self.rest_poses(), [frames.IDENTITY]])[boxes.body]
         return boxes.with_(center=frames.to_world(pose, boxes.center), quaternion=frames.multiply(pose[:, 3:], boxes.quaternion))
 
 
