@@ -98,7 +98,7 @@ def find(name_or_path: str | Path) -> Path:
     given = str(name_or_path)
     path = Path(name_or_path)
     try:
-        is_file, is_folder = path.is_file(), path.is_dir()
+        is_file, is_folder = path.is_file(), bool(given) and path.is_dir()
     except (OSError, ValueError):  # a null byte, a name too long
         is_file = is_folder = False
     if is_file:

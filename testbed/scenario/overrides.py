@@ -94,13 +94,11 @@ def assign(document: Any, loc: Loc, value: Any) -> tuple[Any, Loc]:
         return value, ()
     step, rest = loc[0], loc[1:]
     if isinstance(document, list):
-        inner, created = assign(document[int(step)], rest, value)
-        return [*document[: int(step)], inner, *document[int(step) + 1 :]], (step, *created)
-    if step in document:
-        inner, created = assign(document[step], rest, value)
-        return {**document, step: inner}, (step, *created)
-    inner, _ = assign({}, rest, value)
-    return {**document, step: inner}, (step,)
+        items = list(document)
+        items[step], created = assign(document[step], rest, value)  # type: ignore[call-overload]
+        return items, (step, *created)
+    inner, created = assign(document.get(step, {}), rest, value)
+    return {**document, step: inner}, (step, *created) if step in document else (step,)
 
 
 def apply(document: dict[str, Any], sets: Mapping[str, Any], source: Source) -> tuple[dict[str, Any], Source]:

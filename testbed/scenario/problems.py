@@ -4,8 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
-Loc = tuple[str | int, ...]  # a place in the document: keys and list indices from the top
+
+class Row(NamedTuple):
+    """A step of a place that leads into a table beside the scenario: its name and line."""
+
+    table: str
+    line: int
+
+    def __str__(self) -> str:
+        return f"{self.table}:{self.line}"
+
+
+Loc = tuple[str | int | Row, ...]  # a place in the document: keys and list indices from the top
 
 
 def dotted(loc: Loc) -> str:

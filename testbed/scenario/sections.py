@@ -92,10 +92,10 @@ def columns(metrics: list[Section], review: Review) -> list[str] | None:
             continue
         for column in named:
             column = column if section.id == section.kind else f"{section.id}.{column}"
-            if column in owner:
+            if column in owner and owner[column].id != section.id:  # equal ids are told as such
                 review.note(section.loc, f"{column} is computed by {owner[column].id!r} already: give one of the two another id")
                 break
-            owner[column] = section
+            owner.setdefault(column, section)
     return list(owner) if known else None
 
 

@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from testbed.scenario.nodes import Node
-from testbed.scenario.problems import Loc, Problem, ScenarioError, dotted
-from testbed.scenario.wording import findings
+from testbed.scenario.problems import Loc, Problem, Row, ScenarioError, dotted
+from testbed.scenario.wording import findings, shown
 
 MAX_TABLE_BYTES = 10_000_000
 
@@ -34,7 +34,7 @@ class Override:
 
     def problem(self, loc: Loc, message: str) -> Problem:
         """A mistake at or beneath what was set, told in the words of the path that set it."""
-        words: list[str | int] = [] if self.index is None else ["sweep"]
+        words: list[str | int | Row] = [] if self.index is None else ["sweep"]
         words += self.steps[: len(loc)]
         if self.index is not None and len(loc) >= len(self.steps):
             words.append(self.index)
@@ -61,9 +61,9 @@ class Source:
 
     def problem(self, loc: Loc, message: str, at_key: bool = False) -> Problem:
         """The mistake, placed: in a table's row, in --set or the sweep, or in the text."""
-        if len(loc) > 1 and loc[-2] == "csv":
-            path, _, line = str(loc[-1]).rpartition(":")
-            return Problem(path, int(line), None, "", message)
+        for i, step in enumerate(loc):
+            if isinstance(step, Row):
+                return Problem(step.table, step.line, None, dotted(loc[i + 1 :]), message)
         for override in reversed(self.overrides):
             if loc[: len(override.created)] == override.created:
                 return override.problem(loc, message)
@@ -124,8 +124,8 @@ class Review:
                 self.note((*loc, *place), message, at_key)
             return None
         wrong = list(_booleans_as_numbers(data, checked, loc))
-        for place in wrong:
-            self.note(place, "a number is wanted, not true or false")
+        for place, value in wrong:
+            self.note(place, f"a number is wanted, not {shown(value)}")
         return None if wrong else checked
 
     def finish(self) -> None:
@@ -134,12 +134,12 @@ class Review:
             raise ScenarioError(self.problems)
 
 
-def _booleans_as_numbers(raw: Any, value: Any, loc: Loc) -> Iterable[Loc]:
-    """Places where a truth value was taken for 0 or 1, as pydantic does."""
+def _booleans_as_numbers(raw: Any, value: Any, loc: Loc) -> Iterable[tuple[Loc, bool]]:
+    """Places, with the value, where a truth value was taken for 0 or 1, as pydantic does."""
     if isinstance(raw, bool):
         numbers = value if isinstance(value, (list, tuple)) else [value]
         if any(isinstance(number, (int, float)) and not isinstance(number, bool) for number in numbers):
-            yield loc
+            yield loc, raw
     elif isinstance(raw, dict):
         for name, item in raw.items():
             inner = value.get(name) if isinstance(value, dict) else getattr(value, name, None)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+
+from testbed.scenario.model import ID_PATTERN
+
 _STARTER = """\
 # yaml-language-server: $schema=./scenario.schema.json
 # A scenario of the warehouse radio testbed. Run it:        testbed run {file}
@@ -75,5 +79,10 @@ expect:
 
 
 def starter(name: str = "my-scenario") -> str:
-    """The text of a scenario to begin with, under the name `name`; it is valid as it is. The file is taken to be `<name>.yaml`."""
+    """The text of a scenario to begin with, under the name `name`; it is valid as it is. The file is taken to be `<name>.yaml`.
+
+    ValueError for a name that no scenario can have.
+    """
+    if re.fullmatch(ID_PATTERN, name) is None:
+        raise ValueError(f"{name!r} can't be a name: letters, digits, _ and - are, beginning with a letter")
     return _STARTER.format(name=name, file=f"{name}.yaml")

@@ -7,7 +7,7 @@ import io
 from typing import Any
 
 from testbed.scenario.model import MAX_TAGS, TagRule
-from testbed.scenario.problems import Loc, Problem
+from testbed.scenario.problems import Loc, Problem, Row
 from testbed.scenario.source import Review, Source
 from testbed.scenario.wording import extra
 
@@ -19,15 +19,14 @@ _POINT = ("x_m", "y_m", "z_m")
 def rules(raw: Any, loc: Loc, owner: str | None, review: Review) -> tuple[TagRule, ...]:
     """The tag rules of a list, tables expanded. `owner` is the actor whose tags they are; its frame is theirs."""
     found: list[TagRule] = []
+    memo = review.source.memo
     for i, item in enumerate(raw if isinstance(raw, list) else []):
         key = ("tags", id(item), *loc, i, owner)
-        if key not in review.source.memo:
-            before = len(review.problems)
-            made = _rule(item, (*loc, i), owner, review)
-            if len(review.problems) > before:
-                continue
-            review.source.memo[key] = (made, item)  # the item is kept so that its identity stays its own
-        found.extend(review.source.memo[key][0])
+        before = len(review.problems)
+        made = memo[key][0] if key in memo else _rule(item, (*loc, i), owner, review)
+        if len(review.problems) == before:
+            memo[key] = (made, item)  # the item is kept so that its identity stays its own
+        found.extend(made)
     return tuple(found)
 
 
@@ -95,7 +94,7 @@ def _table(text: str, rule: TagRule, loc: Loc, owner: str | None, review: Review
                 break
             made = _row(dict(zip(header, row, strict=True)), rule, rows.line_num, owner, review)
             if made is not None:
-                found.append(made.at((*loc, "csv", f"{name}:{rows.line_num}"), owner or made.on))
+                found.append(made.at((*loc, Row(name, rows.line_num)), owner or made.on))
     except csv.Error as error:
         note(rows.line_num, f"not a table of values with commas between them: {error}")
     return found
@@ -114,12 +113,13 @@ def _row(row: dict[str, str], rule: TagRule, line: int, owner: str | None, revie
     """One tag of a table; empty cells mean what the rule says for all of its rows, or the default."""
     cells = {name: text.strip() for name, text in row.items() if text.strip()}
     data: dict[str, Any] = {"model": rule.model, "on": rule.on, **{n: t for n, t in cells.items() if n not in _POINT}}
-    data["position_m"] = [cells.get(name, "nothing") for name in _POINT]
+    data["position_m"] = [cells.get(name, "0") for name in _POINT]
     judge = Review(Source(""))  # a place in the row is no place in the document
     made = judge.check(TagRule, data, ())
-    if "id" not in cells:
-        judge.note(("id",), "missing")
-    elif owner is not None and "on" in cells:
+    for name in _NEEDED:
+        if name not in cells:
+            judge.note((name,), "missing")
+    if owner is not None and "on" in cells:
         judge.note(("on",), "an actor's own tags are on the actor: leave this cell empty")
     for problem in judge.problems:
         steps = problem.where.split(".")

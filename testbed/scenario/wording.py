@@ -131,9 +131,11 @@ def _sentence(detail: ErrorDetails) -> str:
         return str(context.get("error", detail["msg"]))
     if kind == "testbed_union":
         return detail["msg"]
+    if kind in _BOUNDS and isinstance(value, bool):
+        return f"a number is wanted, not {shown(value)}"
     if kind in _BOUNDS:
         name, words = _BOUNDS[kind]
-        return f"must be {words} {context[name]}, is {shown(value)}"
+        return f"must be {words} {_brief(context[name])}, is {shown(value)}"
     if kind in ("literal_error", "enum"):
         return _choice(str(context["expected"]), value)
     if kind in ("too_short", "too_long"):
@@ -150,7 +152,8 @@ def _sentence(detail: ErrorDetails) -> str:
     if kind == "union_tag_invalid":
         return f"{shown(context['tag'])} is none of {context['expected_tags']}"
     if kind == "union_tag_not_found":
-        return f"{context['discriminator']} is missing: it says what this is"
+        name = str(context["discriminator"]).strip("'")
+        return f"{name} is missing: it says what this is"
     return _type(kind, detail["msg"], value)
 
 
@@ -162,6 +165,10 @@ def _type(kind: str, message: str, value: Any) -> str:
         return message[:1].lower() + message[1:].replace("Input should", "should")
     quotes = ": put it in quotes" if stem == "string" and isinstance(value, (int, float)) else ""
     return f"{_WANTED[stem]} is wanted, not {shown(value)}{quotes}"
+
+
+def _brief(limit: Any) -> str:
+    return str(int(limit)) if isinstance(limit, float) and limit.is_integer() and abs(limit) < 1e15 else str(limit)
 
 
 def _choice(expected: str, value: Any) -> str:

@@ -117,7 +117,8 @@ DOCUMENT: dict[str, Any] = {
     "world": {"kind": "hall", "gates": 2},
     "actors": [
         {
-            "id": "t1", "kind": "cart", "motion": "kinematic", "load": 0.3, "route": {"waypoints_m": [[0.0, 0.0], [5.0, 0.0]], "speed_mps": 1.5},
+            "id": "t1", "kind": "cart", "motion": "kinematic", "load": 0.3,
+            "route": {"waypoints_m": [[0.0, 0.0], [5.0, 0.0]], "speed_mps": 1.5},
             "tags": [{"id": "t1a", "position_m": [0.1, 0.0, 1.0]}],
         },
         {"id": "p1", "kind": "cart", "motion": "parked", "position_m": [2.0, 3.0]},
