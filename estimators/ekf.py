@@ -14,19 +14,21 @@ from testbed.types import Array, Estimate, Event, Prior, RowRandom, Site, Update
 
 
 class EkfConfig(RssiConfig, MotionConfig, StatusConfig):
-    """The section of an `ekf`. gate: none, second_order: false, correlation_s: 0 is the plain textbook filter."""
+    """The section of an `ekf`. With gate: none, curvature_noise: false and correlation_s: 0 it is the plain textbook filter."""
 
     gate: kalman.Gate = 0.999
-    second_order: bool = True
+    curvature_noise: bool = True
 
 
 class Ekf:
     """State (x, y, z, vx, vy, vz), constant velocity; every read is one scalar measurement, linearised at the present mean.
 
-    RSSI bends sharply near an antenna, where a straight line through it promises far more than a read can tell. `second_order` adds to
-    the prediction and to the noise what the curvature makes of the present doubt, ½ tr(H'' P) and ½ tr(H'' P H'' P) (Jazwinski 1970,
-    ch. 9): as long as the doubt is wide against the distance a read counts for little. Breaks all the same when the belief has several
-    modes (two antennas leave two places), or when an obstacle dims one antenna for long; the gate lets pass what dims it for a read.
+    RSSI bends sharply near an antenna, where a straight line through it promises far more than a read can tell. `curvature_noise` adds
+    to the noise what the curvature makes of the present doubt, ½ tr((H'' P)²), the second-order term of Jazwinski 1970, ch. 9: as long
+    as the doubt is wide against the distance, a read counts for little. The term's twin, ½ tr(H'' P) added to the prediction, is left
+    out: with such doubt it is off by tens of dB, where the logarithm is far from its parabola, and drives the mean away.
+    Breaks all the same when the belief has several modes (two antennas leave two places), or when an obstacle dims an antenna for
+    long; the gate lets pass what dims it for a read or two.
     """
 
     Config = EkfConfig
@@ -49,9 +51,9 @@ class Ekf:
         position = belief.mean[row, :3]
         expected, gradient = self._model.linearised(position, reads.antenna, reads.tag)
         variance = self._variance.of(row, reads.antenna, reads.t)
-        if self._config.second_order:
-            bias, extra = second_order(self._model.curvature(position, reads.antenna, reads.tag), belief.covariance[row, :3, :3])
-            expected, variance = expected + bias, variance + extra
+        if self._config.curvature_noise:
+            hessian = self._model.curvature(position, reads.antenna, reads.tag)
+            variance = variance + curvature_noise(hessian, belief.covariance[row, :3, :3])
         jacobian = np.zeros((len(row), 1, 6))
         jacobian[:, 0, :3] = gradient
         innovation = (reads.rssi - expected)[:, None]
@@ -64,7 +66,7 @@ class Ekf:
         return self._belief.estimate()
 
 
-def second_order(hessian: Array, covariance: Array) -> tuple[Array, Array]:
-    """What curvature adds to a prediction and to its variance: ½ tr(H'' P) and ½ tr((H'' P)²), (E,) each, from (E, k, k) both."""
+def curvature_noise(hessian: Array, covariance: Array) -> Array:
+    """(E,) ½ tr((H'' P)²): the variance that a parabola adds to the straight line through it, from (E, k, k) both."""
     product = hessian @ covariance
-    return np.einsum("eii->e", product) / 2, np.einsum("eij,eji->e", product, product) / 2
+    return np.einsum("eij,eji->e", product, product) / 2

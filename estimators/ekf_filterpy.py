@@ -10,7 +10,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 from estimators import kalman
 from estimators.belief import status_of
-from estimators.ekf import EkfConfig, second_order
+from estimators.ekf import EkfConfig, curvature_noise
 from estimators.motion import ConstantVelocity
 from estimators.rssi_model import RssiModel
 from testbed.protocols import SingleTarget
@@ -47,16 +47,15 @@ class EkfFilterpy(SingleTarget):
         if not math.isfinite(data.rssi):
             return False, math.nan, math.nan, 0
         one, link = self._filter, self._model.link(data.antenna, data.tag)
-        variance, bias = read_variance(self.config, data.t - self._last.get(data.antenna, -math.inf)), 0.0
-        if self.config.second_order:
+        variance = read_variance(self.config, data.t - self._last.get(data.antenna, -math.inf))
+        if self.config.curvature_noise:
             hessian = self._model.curvature(one.x[None, :3], np.array([data.antenna]), np.array([data.tag]))
-            b, extra = second_order(hessian, one.P[None, :3, :3])
-            variance, bias = variance + float(extra[0]), float(b[0])
+            variance += float(curvature_noise(hessian, one.P[None, :3, :3])[0])
         x, p = one.x, one.P
         one.update(
             np.array([data.rssi]),
             HJacobian=lambda x: np.array([[*link.gradient(x), 0.0, 0.0, 0.0]]),
-            Hx=lambda x: np.array([link.expected(x) + bias]),
+            Hx=lambda x: np.array([link.expected(x)]),
             R=variance,
         )
         nis, log_likelihood = judged(one)

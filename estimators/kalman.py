@@ -102,7 +102,7 @@ class _Outcome:
 # ---------------------------------------------------------------- kernels: rows one after another, no numpy calls inside
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _cholesky(a, factor, n):
     """Lower factor of the leading n × n block of `a`; False where it is not positive definite."""
     for i in range(n):
@@ -119,7 +119,24 @@ def _cholesky(a, factor, n):
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+def _positive(a, work, n):
+    """Whether the leading n × n block of `a` is positive definite, by elimination: half the cost of a Cholesky factor."""
+    for i in range(n):
+        for j in range(i + 1):
+            work[i, j] = a[i, j]
+    for k in range(n):
+        if not work[k, k] > 0.0 or not np.isfinite(work[k, k]):
+            return False
+        inverse = 1.0 / work[k, k]
+        for i in range(k + 1, n):
+            share = work[i, k] * inverse
+            for j in range(k + 1, i + 1):
+                work[i, j] -= share * work[j, k]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
 def _factor(a, factor, n):
     """As `_cholesky`, with the diagonal lifted by as little as it takes; False where no lift helps."""
     if _cholesky(a, factor, n):
@@ -138,7 +155,7 @@ def _factor(a, factor, n):
     return False
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _commit(mean, covariance, row, x, p, factor, n):
     """Write a row's new mean and covariance if they are finite and the covariance is, or can be made, positive definite."""
     for i in range(n):
@@ -146,7 +163,7 @@ def _commit(mean, covariance, row, x, p, factor, n):
             return False
         for j in range(i):
             p[i, j] = p[j, i] = 0.5 * (p[i, j] + p[j, i])
-    if not _factor(p, factor, n):
+    if not _positive(p, factor, n) and not _factor(p, factor, n):
         return False
     for i in range(n):  # not by slices: an assignment of arrays takes numba seconds to compile
         mean[row, i] = x[i]
@@ -155,7 +172,7 @@ def _commit(mean, covariance, row, x, p, factor, n):
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _judge(s, y, m, factor, limit):
     """Whiten y (in place) by the Cholesky factor of s: (passes, nis, log-likelihood)."""
     if not _cholesky(s, factor, m):
@@ -171,98 +188,101 @@ def _judge(s, y, m, factor, limit):
     return nis <= limit, nis, -0.5 * (nis + log_det + m * np.log(2.0 * np.pi))
 
 
-@njit(cache=True)
-def _whiten_rows(c, whitened, m, n, factor):
-    """c L⁻ᵀ, each row of c (n, m) divided by the factor from the right; into `whitened`, which may be c."""
+@njit(cache=True, error_model="numpy")
+def _whiten_rows(c, m, n, factor):
+    """c L⁻ᵀ in place: each row of c (n, m) divided by the factor from the right."""
     for a in range(n):
         for i in range(m):
             v = c[a, i]
             for k in range(i):
-                v -= factor[i, k] * whitened[a, k]
-            whitened[a, i] = v / factor[i, i]
-
-
-@njit(cache=True)
-def _extended(mean, covariance, rows, innovation, jacobian, noise, limits, used, log_likelihood, nis, dof):
-    n, most = mean.shape[1], innovation.shape[1]
-    x, p, b, factor_p = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
-    h, w, gain, v = np.empty((most, n)), np.empty((n, most)), np.empty((n, most)), np.empty((n, most))
-    y, r, s, factor = np.empty(most), np.empty((most, most)), np.empty((most, most)), np.empty((most, most))
-    seen = np.empty(most, np.int64)
-    for e in range(len(rows)):
-        m = 0
-        for j in range(most):
-            if np.isfinite(innovation[e, j]):
-                seen[m], y[m] = j, innovation[e, j]
-                for a in range(n):
-                    h[m, a] = jacobian[e, j, a]
-                m += 1
-        if m == 0:
-            continue
-        dof[e], old = m, covariance[rows[e]]
-        _project(old, h, noise[e], seen, m, n, w, r, s)
-        passes, nis[e], log_likelihood[e] = _judge(s, y, m, factor, limits[m])
-        if not passes:
-            continue
-        _whiten_rows(w, gain, m, n, factor)
-        for a in range(n):
-            x[a] = mean[rows[e], a]
-            for i in range(m):
-                x[a] += gain[a, i] * y[i]
-        _unwhiten_rows(gain, m, n, factor)
-        _joseph(old, h, w, gain, r, m, n, b, v, p)
-        used[e] = _commit(mean, covariance, rows[e], x, p, factor_p, n)
-
-
-@njit(cache=True)
-def _project(old, h, noise, seen, m, n, w, r, s):
-    """w = P Hᵀ, r = the seen part of the noise, s = H P Hᵀ + r."""
-    for a in range(n):
-        for i in range(m):
-            w[a, i] = 0.0
-            for k in range(n):
-                w[a, i] += old[a, k] * h[i, k]
-    for i in range(m):
-        for j in range(m):
-            r[i, j] = s[i, j] = noise[seen[i], seen[j]]
-            for k in range(n):
-                s[i, j] += h[i, k] * w[k, j]
-
-
-@njit(cache=True)
-def _unwhiten_rows(c, m, n, factor):
-    """The gain w S⁻¹ from the whitened one: c L⁻¹, in place."""
-    for a in range(n):
-        for i in range(m - 1, -1, -1):
-            v = c[a, i]
-            for k in range(i + 1, m):
-                v -= factor[k, i] * c[a, k]
+                v -= factor[i, k] * c[a, k]
             c[a, i] = v / factor[i, i]
 
 
-@njit(cache=True)
-def _joseph(old, h, w, gain, r, m, n, b, v, p):
-    """p = (I - K H) old (I - K H)ᵀ + K R Kᵀ, with each product taken as the low-rank change that it is."""
-    for i in range(n):
-        for j in range(n):
-            b[i, j] = old[i, j]
-            for k in range(m):
-                b[i, j] -= gain[i, k] * w[j, k]
-    for i in range(n):
-        for k in range(m):
-            v[i, k] = 0.0
+@njit(cache=True, error_model="numpy")
+def _extended(mean, covariance, rows, innovation, jacobian, noise, limits, used, log_likelihood, nis, dof):
+    n, most = mean.shape[1], innovation.shape[1]
+    x, p, work = np.empty(n), np.empty((n, n)), np.empty((n, n))
+    h, y, r, w, k = np.empty((most, n)), np.empty(most), np.empty((most, most)), np.empty(n), np.empty(n)
+    for e in range(len(rows)):
+        m = _independent(innovation[e], jacobian[e], noise[e], h, y, r)
+        if m == 0:
+            continue
+        dof[e], row = m, rows[e]
+        for i in range(n):
+            x[i] = 0.0  # the correction so far: the innovations are of the prediction
             for j in range(n):
-                v[i, k] += b[i, j] * h[k, j]
-            for j in range(m):
-                v[i, k] -= gain[i, j] * r[j, k]
+                p[i, j] = covariance[row, i, j]
+        squared, log_det = 0.0, 0.0
+        for i in range(m):
+            s, v = _scalar_update(x, p, h[i], y[i], r[i, i], w, k)
+            squared += v * v / s
+            log_det += np.log(s)
+        nis[e], log_likelihood[e] = squared, -0.5 * (squared + log_det + m * np.log(2.0 * np.pi))
+        if squared <= limits[m]:
+            for i in range(n):
+                x[i] += mean[row, i]
+            used[e] = _commit(mean, covariance, row, x, p, work, n)
+
+
+@njit(cache=True, error_model="numpy")
+def _independent(innovation, jacobian, noise, h, y, r):
+    """The measured components as m ones of independent noise, r = L D Lᵀ with unit L: h = L⁻¹ H, y = L⁻¹ z, and D on r's diagonal."""
+    m = 0
+    for j in range(len(innovation)):
+        if not np.isfinite(innovation[j]):
+            continue
+        y[m] = innovation[j]
+        for a in range(h.shape[1]):
+            h[m, a] = jacobian[j, a]
+        before = 0
+        for i in range(j):
+            if np.isfinite(innovation[i]):
+                r[m, before] = noise[j, i]
+                before += 1
+        r[m, m] = noise[j, j]
+        for i in range(m):  # r[m, i] becomes L D of this row, then is taken out of h and y
+            for k in range(i):
+                r[m, i] -= r[m, k] / r[k, k] * r[i, k]
+        for i in range(m):
+            share = r[m, i] / r[i, i]
+            r[m, m] -= share * r[m, i]
+            y[m] -= share * y[i]
+            for a in range(h.shape[1]):
+                h[m, a] -= share * h[i, a]
+        m += 1
+    return m
+
+
+@njit(cache=True, error_model="numpy")
+def _scalar_update(x, p, h, y, r, w, k):
+    """Joseph's form for one number, p = (I - k hᵀ) p (I - k hᵀ)ᵀ + r k kᵀ by two changes of rank one; returns s and the innovation."""
+    n = len(x)
+    s, v = r, y
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += p[i, j] * h[j]
+        w[i] = total
+        s += h[i] * total
+        v -= h[i] * x[i]
+    for i in range(n):
+        k[i] = w[i] / s
+        x[i] += k[i] * v
+        for j in range(n):
+            p[i, j] -= k[i] * w[j]
+    for i in range(n):
+        total = -r * k[i]
+        for j in range(n):
+            total += p[i, j] * h[j]
+        w[i] = total
     for i in range(n):
         for j in range(n):
-            p[i, j] = b[i, j]
-            for k in range(m):
-                p[i, j] -= v[i, k] * gain[j, k]
+            p[i, j] -= w[i] * k[j]
+    return s, v
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _points(mean, covariance, rows, spread, points):
     n = mean.shape[1]
     scaled, factor = np.empty((n, n)), np.empty((n, n))
@@ -280,7 +300,7 @@ def _points(mean, covariance, rows, spread, points):
                 points[e, 1 + n + k, i] = mean[row, i] - step
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _unscented(mean, covariance, rows, points, innovation, noise, weight_m, weight_c, limits, used, log_likelihood, nis, dof):
     n, count, most = mean.shape[1], points.shape[1], innovation.shape[2]
     x, p, factor_p = np.empty(n), np.empty((n, n)), np.empty((n, n))
@@ -293,30 +313,34 @@ def _unscented(mean, covariance, rows, points, innovation, noise, weight_m, weig
         dof[e], row = m, rows[e]
         for i in range(m):
             for j in range(m):
-                s[i, j] = noise[e, seen[i], seen[j]]
+                total = noise[e, seen[i], seen[j]]
                 for k in range(count):
-                    s[i, j] += weight_c[k] * d[k, i] * d[k, j]
+                    total += weight_c[k] * d[k, i] * d[k, j]
+                s[i, j] = total
         passes, nis[e], log_likelihood[e] = _judge(s, y, m, factor, limits[m])
         if not passes:
             continue
         for a in range(n):
             for i in range(m):
-                gain[a, i] = 0.0
+                total = 0.0
                 for k in range(count):
-                    gain[a, i] += weight_c[k] * (points[e, k, a] - mean[row, a]) * d[k, i]
-        _whiten_rows(gain, gain, m, n, factor)  # now K L, with S = L Lᵀ
+                    total += weight_c[k] * (points[e, k, a] - mean[row, a]) * d[k, i]
+                gain[a, i] = total
+        _whiten_rows(gain, m, n, factor)  # now K L, with S = L Lᵀ
         for a in range(n):
-            x[a] = mean[row, a]
+            total = mean[row, a]
             for i in range(m):
-                x[a] += gain[a, i] * y[i]
+                total += gain[a, i] * y[i]
+            x[a] = total
             for c in range(n):
-                p[a, c] = covariance[row, a, c]
+                total = covariance[row, a, c]
                 for i in range(m):
-                    p[a, c] -= gain[a, i] * gain[c, i]
+                    total -= gain[a, i] * gain[c, i]
+                p[a, c] = total
         used[e] = _commit(mean, covariance, row, x, p, factor_p, n)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _spread(innovation, weight_m, y, d, seen):
     """Mean innovation y and each point's deviation d of what it predicts, of the measured components; how many there are."""
     m = 0

@@ -59,7 +59,7 @@ class ConstantVelocity:
         _advance(mean, covariance, dt, self.position, self.velocity, *self.noise(dt))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _advance(mean, covariance, dt, position, velocity, pp, pv, vv):
     n = mean.shape[1]
     for b in range(len(dt)):

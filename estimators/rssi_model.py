@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from numba import njit
 from pydantic import Field
 
 from testbed import frames
@@ -76,37 +77,30 @@ class RssiModel:
 
     def expected(self, position: Array, antenna: Array, tag: Array) -> Array:
         """(E, ...) dBm at positions (E, ..., 3) of the tags (E,) by the antennas (E,)."""
-        return self._evaluate(position, antenna, tag)[0]
+        return self._evaluate(position, antenna, tag, np.empty((0, 0, 3)))
 
     def linearised(self, position: Array, antenna: Array, tag: Array) -> tuple[Array, Array]:
         """(E, ...) dBm as `expected`, and its gradient (E, ..., 3) in dB/m."""
-        level, r, s2, cosine, front = self._evaluate(position, antenna, tag)
-        power, floor, boresight = (_along(a[antenna], level.ndim) for a in (self._power, self._floor, self._boresight))
-        lobe = np.where(front > 0, power * front ** np.where(power > 0, power - 1, 0.0), 0.0)
-        steep = 2 * NEPER_DB * (1 - floor) * lobe / (floor + (1 - floor) * front**power)
-        along_r = (-self._slope - steep * cosine) / s2
-        return level, along_r[..., None] * r + (steep / np.sqrt(s2))[..., None] * boresight
+        gradient = np.empty((len(antenna), math.prod(position.shape[1:-1]), 3))
+        return self._evaluate(position, antenna, tag, gradient), gradient.reshape(position.shape)
 
     def curvature(self, position: Array, antenna: Array, tag: Array) -> Array:
-        """(E, 3, 3) dB/m²: the Hessian at positions (E, 3), by central differences of the gradient, for distances it is smooth over."""
+        """(E, 3, 3) dB/m²: the Hessian at positions (E, 3), by central differences of the gradient over a thousandth of the distance."""
         step = 1e-3 * np.sqrt(((position - self._position[antenna]) ** 2).sum(axis=1) + self._near2)
-        moved = position[:, None] + np.concatenate([np.eye(3), -np.eye(3)]) * step[:, None, None]
+        moved = position[:, None] + _SIX_WAYS * step[:, None, None]
         gradient = self.linearised(moved, antenna, tag)[1]
         hessian = (gradient[:, :3] - gradient[:, 3:]) / (2 * step)[:, None, None]
         return (hessian + hessian.transpose(0, 2, 1)) / 2
 
-    def _evaluate(self, position: Array, antenna: Array, tag: Array) -> tuple[Array, ...]:
-        """Level, r = position - antenna, its softened square, cosine off boresight, and that cosine where it is above 0."""
-        origin, boresight = (_along(a[antenna], position.ndim - 1) for a in (self._position, self._boresight))
-        power, floor, at_1m = (
-            _along(a, position.ndim - 1) for a in (self._power[antenna], self._floor[antenna], self._level[antenna, tag])
-        )
-        r = position - origin
-        s2 = r[..., 0] ** 2 + r[..., 1] ** 2 + r[..., 2] ** 2 + self._near2
-        cosine = (r[..., 0] * boresight[..., 0] + r[..., 1] * boresight[..., 1] + r[..., 2] * boresight[..., 2]) / np.sqrt(s2)
-        front = np.where(cosine > 1e-6, cosine, 0.0)
-        pattern = floor + (1 - floor) * front**power
-        return at_1m - self._slope / 2 * np.log(s2) + 2 * NEPER_DB * np.log(pattern), r, s2, cosine, front
+    def _evaluate(self, position: Array, antenna: Array, tag: Array, gradient: Array) -> Array:
+        """`expected`; fills `gradient` unless it is empty."""
+        points = position.reshape(len(antenna), -1, 3)
+        level = np.empty(points.shape[:2])
+        _budget(
+            points, antenna, self._level[antenna, tag], self._position, self._boresight, self._power, self._floor, self._slope, self._near2,
+            level, gradient,
+        )  # fmt: skip
+        return level.reshape(position.shape[:-1])
 
     def link(self, antenna: int, tag: int) -> Link:
         """The same for one antenna and tag in plain numbers."""
@@ -115,9 +109,33 @@ class RssiModel:
         return Link(origin, boresight, level, self._slope, self._near2, power, floor)
 
 
-def _along(values: Array, ndim: int) -> Array:
-    """Values (E,) or (E, 3) with axes of length 1 put in, so that they broadcast over (E, ...) or (E, ..., 3)."""
-    return values.reshape(len(values), *(1,) * (ndim - 1), *values.shape[1:])
+_SIX_WAYS = np.concatenate([np.eye(3), -np.eye(3)])
+
+
+@njit(cache=True, error_model="numpy")
+def _budget(points, antenna, at_1m, origin, boresight, power, floor, slope, near2, level, gradient):
+    """level (E, P) dBm and, unless it is empty, gradient (E, P, 3) at the points (E, P, 3) seen from the antennas (E,)."""
+    for e in range(points.shape[0]):
+        a = antenna[e]
+        bx, by, bz, p, f = boresight[a, 0], boresight[a, 1], boresight[a, 2], power[a], floor[a]
+        for k in range(points.shape[1]):
+            rx, ry, rz = points[e, k, 0] - origin[a, 0], points[e, k, 1] - origin[a, 1], points[e, k, 2] - origin[a, 2]
+            s2 = rx * rx + ry * ry + rz * rz + near2
+            s = np.sqrt(s2)
+            cosine = (rx * bx + ry * by + rz * bz) / s
+            lobe, pattern = 0.0, 1.0  # d pattern / d cosine, pattern
+            if p > 0.0:
+                lobe, pattern = 0.0, f
+                if cosine > 1e-6:
+                    raised = (1.0 - f) * cosine**p
+                    lobe, pattern = p * raised / cosine, f + raised
+            level[e, k] = at_1m[e] + NEPER_DB * np.log(pattern * pattern) - 0.5 * slope * np.log(s2)
+            if len(gradient):
+                steep = 2.0 * NEPER_DB * lobe / pattern
+                radial, axial = -(slope + steep * cosine) / s2, steep / s
+                gradient[e, k, 0] = radial * rx + axial * bx
+                gradient[e, k, 1] = radial * ry + axial * by
+                gradient[e, k, 2] = radial * rz + axial * bz
 
 
 def _levels(config: RssiConfig, site: Site, method: str) -> Array:
@@ -147,7 +165,8 @@ class Link:
     def expected(self, x: Array) -> float:
         """dBm at the position x[:3]."""
         _, s2, front = self._seen_from(x)
-        return self.level - self.slope / 2 * math.log(s2) + 2 * NEPER_DB * math.log(self.floor + (1 - self.floor) * front**self.power)
+        pattern = self.floor + (1 - self.floor) * front**self.power  # 0^0 is 1, the same in all directions
+        return self.level - self.slope / 2 * math.log(s2) + 2 * NEPER_DB * math.log(pattern)
 
     def gradient(self, x: Array) -> tuple[float, float, float]:
         """dB/m at the position x[:3]."""

@@ -16,8 +16,8 @@ from testbed.types import Array, Estimate, Event, Prior, RowRandom, Site, Update
 class UkfConfig(RssiConfig, MotionConfig, StatusConfig):
     """The section of a `ukf`: where its sigma points lie (α, β, κ), and the rest as for an `ekf`."""
 
-    alpha: Annotated[float, Field(ge=1e-3, le=2)] = 1.0
-    beta: Annotated[float, Field(ge=0, le=10)] = 0.0
+    alpha: Annotated[float, Field(ge=1e-3, le=2)] = 0.3
+    beta: Annotated[float, Field(ge=0, le=10)] = 2.0
     kappa: Annotated[float, Field(gt=-6, le=100)] = 0.0
     gate: kalman.Gate = 0.999
 
@@ -26,8 +26,9 @@ class Ukf:
     """State (x, y, z, vx, vy, vz), constant velocity; every read is one scalar measurement, taken through 13 sigma points.
 
     The motion is linear, so it is predicted in closed form, which is what the points would give; they are drawn afresh from the present
-    belief for each read, two reads at one time included. With the default α = 1, β = κ = 0 no weight is negative and the result is
-    always a proper covariance. Breaks as the `ekf` does where a belief has several modes.
+    belief for each read, two reads at one time included. The default α keeps the points within the doubt: with α = 1 they lie at √6
+    standard deviations, often behind the antenna, where the pattern tells another story. α = 1, β = κ = 0 has no negative weight.
+    Breaks as the `ekf` does where a belief has several modes, and drifts away from the antennas where doubt is wide.
     """
 
     Config = UkfConfig
