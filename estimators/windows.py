@@ -1,0 +1,38 @@
+"""What was heard lately: the newest value of each antenna, for methods that look at signal strengths side by side."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from testbed.types import Array, Event
+
+
+class Newest:
+    """The newest RSSI per row and antenna; per row, reference tag and antenna where `tags` (R,) lists the tags to tell apart.
+
+    A read without RSSI is as good as none. Late reads do not replace newer ones.
+    """
+
+    def __init__(self, rows: int, antennas: int, tags: Array | None = None) -> None:
+        self._tags = tags if tags is None else np.asarray(tags)
+        if self._tags is not None:
+            self._order = np.argsort(self._tags)
+        shape = (rows, antennas) if self._tags is None else (rows, len(self._tags), antennas)
+        self._value, self._time = np.full(shape, np.nan), np.full(shape, -np.inf)
+
+    def add(self, event: Event) -> Array:
+        """Take the event's reads; (E,) bool, which of them said something."""
+        reads = event.data
+        at: tuple[Array, ...] = (event.row, reads.antenna)
+        if self._tags is not None:
+            at = (event.row, self._order[np.searchsorted(self._tags, reads.tag, sorter=self._order)], reads.antenna)
+        heard = np.isfinite(reads.rssi)
+        newer = heard & (reads.t >= self._time[at])
+        at = tuple(a[newer] for a in at)
+        self._value[at], self._time[at] = reads.rssi[newer], reads.t[newer]
+        return heard
+
+    def rssi(self, t: Array, memory: float) -> Array:
+        """(rows, [tags,] antennas) dBm: what was heard within `memory` s before t (rows,), NaN elsewhere."""
+        now = np.reshape(t, (-1, *(1,) * (self._time.ndim - 1)))
+        return np.where(now - self._time <= memory, self._value, np.nan)
