@@ -12,7 +12,8 @@ from typing import Annotated, Any, TextIO
 import typer
 from rich.console import Console
 
-from testbed import plugins
+from testbed import console, plugins
+from testbed.evaluate import plain
 from testbed.scenario import ScenarioError
 
 app = typer.Typer(
@@ -62,14 +63,19 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _known(error: Exception) -> int:
     """Errors of use, from typer and from the store, in their own words; others keep their traceback."""
+    from testbed.batch import Interrupted
+    from testbed.pool import CannotStart
     from testbed.store import StoreError
 
     show = getattr(error, "show", None)
     if show is not None:  # a usage error of the command line
         show()
         return Exit.INPUT
-    if isinstance(error, StoreError):
+    if isinstance(error, StoreError | CannotStart):
         return _complain(str(error))
+    if isinstance(error, Interrupted):
+        _complain(str(error))
+        return Exit.INTERRUPTED
     raise error
 
 
@@ -102,6 +108,108 @@ def _console(file: TextIO) -> Console:
 
 def _print_json(document: Any) -> None:
     sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
+
+
+Trials = Annotated[int | None, typer.Option(help="Trials to run, in place of the scenario's number.")]
+Seed = Annotated[int | None, typer.Option(help="Root of all randomness, in place of the scenario's.")]
+Only = Annotated[list[str] | None, typer.Option("--estimator", help="Run this estimator only; may come several times.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of tables.")]
+
+
+@app.command()
+def run(
+    scenarios: Names,
+    trials: Trials = None,
+    seed: Seed = None,
+    jobs: Annotated[str, typer.Option(help="Processes: a number, or auto for one a core.")] = "auto",
+    sets: Sets = None,
+    estimator: Only = None,
+    out: Annotated[Path | None, typer.Option(help="Output folder; runs/NAME where left out, or runs/NAME-2, ...")] = None,
+    keep: Annotated[str, typer.Option(help="Recordings to keep: none, all, or some of failed, first:N, worst:N.")] = "first:1,failed",
+    resume: Annotated[bool, typer.Option("--resume", help="Go on in --out where an earlier run stopped.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace the run that is in --out.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Run scenarios: simulate their trials, run every estimator on them, score, judge what the scenario expects."""
+    from testbed import batch
+    from testbed.api import scenario_of
+    from testbed.progress import choose
+
+    if resume and out is None:
+        raise typer.Exit(_complain("--resume needs --out, the folder of the run to go on with"))
+    if jobs != "auto" and not (jobs.isdecimal() and int(jobs) > 0):
+        raise typer.Exit(_complain(f"--jobs takes a number from 1, or auto, not {jobs!r}"))
+    loaded = [scenario_of(n, trials=trials, seed=seed, estimators=estimator or (), sets=sets or ()) for n in scenarios]
+    results = []
+    for scenario in loaded:
+        folder = _folder(out, scenario.name, several=len(loaded) > 1)
+        count = "auto" if jobs == "auto" else int(jobs)
+        found = batch.run(
+            scenario, out=folder, jobs=count, keep=keep, resume=resume, force=force, command=sys.argv, progress=choose(sys.stderr)
+        )
+        results.append(found)
+        if not as_json:
+            console.run(_out(), found)
+    if as_json:
+        documents = [result.document() for result in results]
+        _print_json(documents[0] if len(documents) == 1 else {"scenarios": documents, "ok": all(d["ok"] for d in documents)})
+    raise typer.Exit(_verdict(results))
+
+
+def _folder(out: Path | None, name: str, several: bool) -> Path:
+    """Where a run is written: as told, a folder a scenario where there are several, else the first free runs/NAME."""
+    if out is not None:
+        return out / name if several else out
+    names = [name, *(f"{name}-{i}" for i in range(2, 10_000))]
+    return next(folder for n in names if not (folder := Path("runs") / n).exists())
+
+
+def _verdict(results: list[Any]) -> Exit:
+    if any(result.failures for result in results):
+        return Exit.CRASH
+    return Exit.FINE if all(result.ok for result in results) else Exit.EXPECTATION
+
+
+@app.command()
+def rerun(
+    folder: Annotated[Path, typer.Argument(help="Output folder of a run.")],
+    trial: Annotated[int, typer.Option(help="Which trial, from 0.")],
+    point: Annotated[int, typer.Option(help="Which point of the sweep, from 0.")] = 0,
+    into: Annotated[Path | None, typer.Option("--out", help="Keep its recording under this folder.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Make one trial of a run again from its manifest, and show its figures, or the traceback of what crashed."""
+    from testbed import batch
+
+    again = batch.rerun(folder, point, trial, into=into)
+    if again.changed:
+        print(f"note: {again.changed}; the figures may differ from the run's own", file=sys.stderr)  # noqa: T201
+    for failure in again.failures:
+        print(failure.traceback, file=sys.stderr)  # noqa: T201
+    figures = {name: [plain(v) for v in column.tolist()] for name, column in again.rows.items()}
+    if as_json:
+        _print_json({"point": point, "trial": trial, "rows": figures})
+    else:
+        console.figures(_out(), f"trial {trial}", figures)
+    raise typer.Exit(Exit.CRASH if again.failures else Exit.FINE)
+
+
+@app.command()
+def replay(
+    folder: Annotated[Path, typer.Argument(help="Output folder of a run, or the folder of one recording in it.")],
+    estimator: Only = None,
+    out: Annotated[Path | None, typer.Option(help="Write the tracks into this folder.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Run estimators on recordings that are kept, without simulating again. Needs no pybullet."""
+    from testbed.replay import replay as again
+
+    found = again(folder, estimator or (), out)
+    if as_json:
+        documents = {s.estimator: s.document() for s in found.summaries}
+        _print_json({"scenario": found.scenario.name, "recordings": len({key[:2] for key in found.tracks}), "estimators": documents})
+    else:
+        console.results(_out(), f"{found.scenario.name}, replayed", found.summaries, {})
 
 
 @app.command()
@@ -176,7 +284,6 @@ def plugins_(group: Annotated[str | None, typer.Argument(help="worlds, actors, s
 @app.command()
 def doctor() -> None:
     """Say what is missing, shadowed or half built on this machine, and what to do about it."""
-    from testbed import console
     from testbed.doctor import examine
 
     found = examine()

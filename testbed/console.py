@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from io import StringIO
+from typing import TYPE_CHECKING
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from testbed.doctor import Finding
 from testbed.evaluate import ClaimResult, Interval, Summary
+
+if TYPE_CHECKING:
+    from testbed.batch import RunResult
+    from testbed.worker import Failure
 
 # column of the results -> heading; those that no row has a value of are left out
 HEADINGS = {
@@ -55,10 +62,50 @@ def results(console: Console, title: str, summaries: Sequence[Summary], sets: Ma
         console.print(table)
 
 
-def world(console: Console, stimulus: Mapping[str, Interval]) -> None:
-    """What the world offered, in one line a figure."""
-    for name, interval in stimulus.items():
-        console.print(f"  world.{name}: {amount(interval)}", highlight=False)
+def run(console: Console, result: RunResult) -> None:
+    """All that a run found: tables, what the world offered, failures, claims, and where it is written."""
+    scenario = result.scenario
+    results(console, scenario.name, result.summaries, {point.index: point.set for point in scenario.points()})
+    for point in scenario.points():
+        world(console, result.world_means[point.index], point.set)
+    failures(console, result.failures)
+    claims(console, result.claims, str(scenario.path or scenario.name))
+    if result.folder is not None:
+        console.print(f"written to {result.folder}", soft_wrap=True)
+
+
+def failures(console: Console, found: Sequence[Failure]) -> None:
+    """Trials that crashed, those of one cause together."""
+    alike: dict[tuple[str, str, str], list[str]] = {}
+    for failure in found:
+        alike.setdefault((failure.stage, failure.estimator, failure.error), []).append(f"{failure.point}/{failure.trial}")
+    for (stage, estimator, error), trials in alike.items():
+        shown = ", ".join(trials[:6]) + (f" and {len(trials) - 6} more" if len(trials) > 6 else "")
+        what = f"{estimator} in {stage}" if estimator else stage
+        console.print(f"[red]failed[/red] {what}, point/trial {shown}: {escape(error)}", soft_wrap=True)
+
+
+def text(result: RunResult) -> str:
+    """What `run` prints, as plain text."""
+    console = Console(width=160, highlight=False, color_system=None, file=StringIO())
+    run(console, result)
+    return console.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]  it is the StringIO
+
+
+def figures(console: Console, title: str, columns: Mapping[str, Sequence[object]]) -> None:
+    """A table's columns as rows: for few rows of many figures."""
+    table = Table(title=title, title_justify="left", show_header=False)
+    for name, values in columns.items():
+        table.add_row(name, *[f"{v:.6g}" if isinstance(v, float) else "–" if v is None else str(v) for v in values])
+    console.print(table)
+
+
+def world(console: Console, stimulus: Mapping[str, Interval], swept: Mapping[str, object]) -> None:
+    """What the world offered, over all sensors, in one line."""
+    said = [f"{name} {amount(interval)}" for name, interval in stimulus.items() if "." not in name]
+    where = f" at {', '.join(f'{path} = {value}' for path, value in swept.items())}" if swept else ""
+    if said:
+        console.print(f"world{where}: {'; '.join(said)}", soft_wrap=True)
 
 
 def claims(console: Console, judged: Sequence[ClaimResult], path: str) -> None:
@@ -69,7 +116,7 @@ def claims(console: Console, judged: Sequence[ClaimResult], path: str) -> None:
         got = "no value" if math.isnan(claim.value) else f"{claim.value:.4g}"
         mark = "[green]holds[/green]" if claim.ok else "[red]FAILED[/red]"
         note = f"; {claim.note}" if claim.note else ""
-        console.print(f"{mark} {path}:{claim.line}: {claim.text}: got {got}{between}{note}", highlight=False)
+        console.print(f"{mark} {path}:{claim.line}: {claim.text}: got {got}{between}{note}", highlight=False, soft_wrap=True)
 
 
 def findings(console: Console, found: Sequence[Finding]) -> None:

@@ -69,7 +69,7 @@ def _shadowed() -> list[Finding]:
 
 
 def _pybullet() -> list[Finding]:
-    if importlib.util.find_spec("pybullet") is None:
+    if not _there("pybullet"):
         mend = "Python 3.11: pip install pybullet; 3.12 and later build it from source: pip install 'warehouse-radio-testbed[sim]'"
         return [Finding("note", "pybullet is missing: validate, replay and scenarios without dynamic motion work", mend)]
     try:
@@ -86,6 +86,13 @@ def _pybullet() -> list[Finding]:
             )
         ]
     return [Finding("ok", f"pybullet {version} with numpy support")]
+
+
+def _there(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except (ImportError, ValueError):  # blocked or half imported: not to be had either
+        return False
 
 
 def _numba_cache() -> list[Finding]:
@@ -113,7 +120,7 @@ def _writable(folder: Path) -> bool:
 def _extras() -> list[Finding]:
     found = []
     for extra, modules in EXTRAS.items():
-        missing = [m for m in modules if importlib.util.find_spec(m) is None]
+        missing = [m for m in modules if not _there(m)]
         if missing:
             found.append(
                 Finding("note", f"extra {extra!r} is not installed ({', '.join(missing)})", f"pip install '{DISTRIBUTION}[{extra}]'")
