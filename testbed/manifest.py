@@ -7,6 +7,7 @@ import importlib.util
 import platform
 import sys
 from collections.abc import Iterable, Sequence
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -56,6 +57,7 @@ def versions(scenario: Scenario) -> dict[str, str]:
     return {**found, "code": _digest(scenario)}
 
 
+@cache
 def _version(name: str) -> str:
     try:
         return version(name)

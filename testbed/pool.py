@@ -125,30 +125,45 @@ class _Pool:
         waiting = list(reversed(blocks))
         while waiting:
             suspects: list[Block] = []
-            for block, result in self._while_it_lasts(waiting, self._jobs):
+            for block, result in self._while_it_lasts(waiting, self._jobs, ahead=2 * self._jobs):
                 if result is None:
                     suspects.append(block)
                 else:
                     yield block, result
-            # a dead process takes down all blocks that were on their way; alone, each shows whether it was the one
-            for block in suspects:
-                yield block, self._alone(block)
+            # a dead process takes down all blocks that were on their way; one at a time, each shows whether it was the one
+            for block, result in self._one_at_a_time(suspects):
+                yield block, result or self._trial_by_trial(block)
 
-    def _while_it_lasts(self, waiting: list[Block], jobs: int) -> Iterator[tuple[Block, BlockResult | None]]:
-        """Work off `waiting` from its end. Once a process has died: None for each block that was under way, then stop."""
+    def _one_at_a_time(self, blocks: Sequence[Block]) -> Iterator[tuple[Block, BlockResult | None]]:
+        """Each block with none beside it: None for one in which the process dies."""
+        waiting = list(reversed(blocks))
+        while waiting:
+            yield from self._while_it_lasts(waiting, 1, ahead=1)
+
+    def _trial_by_trial(self, block: Block) -> BlockResult:
+        """A block in which the process dies: the trials that it dies in are failures, the others have their results."""
+        if len(block.trials) == 1:
+            return _died(block)
+        alone = [block.alone(trial) for trial in block.trials]
+        return joined([result or _died(one) for one, result in self._one_at_a_time(alone)])
+
+    def _while_it_lasts(self, waiting: list[Block], jobs: int, ahead: int) -> Iterator[tuple[Block, BlockResult | None]]:
+        """Work off `waiting` from its end, `ahead` blocks at a time.
+
+        Once a process has died: None for each block that was under way, then stop.
+        """
         executor = self._executors(jobs)
         under_way: dict[Future[BlockResult], Block] = {}
         finished = broken = False
         try:
             up = executor.submit(_ready)
             while under_way or (waiting and not broken):
-                while waiting and not broken and len(under_way) < 2 * jobs:
+                while waiting and not broken and len(under_way) < ahead:
                     try:
                         under_way[executor.submit(self._run_block, waiting[-1])] = waiting[-1]
+                        waiting.pop()
                     except BrokenExecutor:
                         broken = True
-                    else:
-                        waiting.pop()
                 for future in wait(under_way, return_when=FIRST_COMPLETED).done if under_way else ():
                     block = under_way.pop(future)
                     try:
@@ -165,16 +180,11 @@ class _Pool:
         finally:
             _stop(executor, at_once=not finished)
 
-    def _alone(self, block: Block) -> BlockResult:
-        """A block by itself; if its process dies, each of its trials by itself; if it dies again, that trial is to blame."""
-        [(_, result)] = list(self._while_it_lasts([block], 1))
-        if result is not None:
-            return result
-        if len(block.trials) > 1:
-            return joined([self._alone(block.alone(trial)) for trial in block.trials])
-        error = "worker died: the process ended without a word (a crash in native code, or killed, as for lack of memory)"
-        failures = tuple(Failure(block.point, trial, "", "worker", error, "") for trial in block.trials)
-        return BlockResult(block.point, block.trials, failures=failures)
+
+def _died(block: Block) -> BlockResult:
+    error = "worker died: the process ended without a word (a crash in native code, or killed, as for lack of memory)"
+    failures = tuple(Failure(block.point, trial, "", "worker", error, "") for trial in block.trials)
+    return BlockResult(block.point, block.trials, failures=failures)
 
 
 def _stop(executor: Executor, at_once: bool) -> None:
