@@ -61,7 +61,7 @@ class RfidConfig(Config):
     phase_noise_rad: Annotated[float, Field(ge=0, le=4)] = 0.05
     phase_offsets: bool = True
 
-    @field_validator("antennas", mode="before")
+    @field_validator("antennas", mode="before", json_schema_input_type=AntennaRule | list[AntennaRule])
     @classmethod
     def _one_rule_is_a_list_of_one(cls, value: Any) -> Any:
         return [value] if isinstance(value, dict | AntennaRule) else value

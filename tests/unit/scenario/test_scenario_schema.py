@@ -7,7 +7,7 @@ import re
 import pytest
 
 from testbed import plugins
-from testbed.scenario import from_dict, from_text, json_schema, load, starter
+from testbed.scenario import from_dict, from_text, json_schema, listing, load, starter
 from testbed.scenario.nodes import read
 
 
@@ -129,16 +129,16 @@ def test_the_starter_is_a_scenario_and_fits_the_schema(tmp_path):
     path = tmp_path / "my-dock.yaml"
     path.write_text(starter("my-dock"))
     s = load(path)
-    assert (s.name, len(s.estimators)) == ("my-dock", 2)
+    assert (s.name, len(s.estimators)) == ("my-dock", 3)
     schema = json_schema()
     assert fits(read(starter(), "starter").plain(), schema, schema)
 
 
 def test_what_the_starter_keeps_in_comments_is_right_as_well():
-    text = re.sub(r"^( *)# (?=(tags|sweep|\"|- \{|  *[\w.\"]|  *- \{))", r"\1", starter(), flags=re.MULTILINE)
+    text = re.sub(r"^( *)# (?=(tags|sweep|metrics|\"|- \{|  *[\w.\"]|  *- \{))", r"\1", starter(), flags=re.MULTILINE)
     text = text.replace(", ...}", "}").replace("- {csv: tags.csv}", "- {id: still, position_m: [1, 1, 1]}")
     s = from_text(re.sub(r" {4}# .*", "", text))
-    assert (len(s.points()), len(s.estimators), len(s.tags)) == (3, 3, 2)
+    assert (len(s.points()), len(s.estimators), len(s.tags)) == (3, 4, 2)
 
 
 def test_the_starter_has_no_other_name_than_a_scenario_can_have():
@@ -155,3 +155,12 @@ def test_every_plug_in_that_ships_is_in_the_schema(group):
             plugins.load(group, name)
             loadable.add(name)
     assert offered == loadable
+
+
+@pytest.mark.parametrize("name", [name for name, _, _ in listing()])
+def test_every_scenario_that_ships_is_valid_fits_the_schema_and_has_a_title(name):
+    s, schema = load(name), json_schema()
+    assert s.title
+    assert s.name == name.rpartition("/")[2]
+    assert fits(read(s.text, name).plain(), schema, schema)
+    assert from_dict(s.document) == s
