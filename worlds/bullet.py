@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
 from typing import Any, Self
@@ -22,6 +21,7 @@ from testbed.columns import Array
 from testbed.geometry import Boxes
 from testbed.scene import Scene
 from worlds import urdf
+from worlds.bullet_records import Contacts, Handle, Hits, StaticPart
 from worlds.captured import captured
 
 RAYS_PER_CALL = 8192  # of exactly 16,384 rays PyBullet drops the last (from a list) or all (from an array): stay at half of it
@@ -55,48 +55,6 @@ def version() -> str:
 def numpy_enabled() -> bool:
     """Whether PyBullet was built with numpy: else camera images come as tuples. PybulletMissing where there is none."""
     return bool(_pybullet().isNumpyEnabled())
-
-
-@dataclass(frozen=True, eq=False)
-class Handle:
-    """A body in a client: PyBullet's number, joints and links by name (the base is -1), and where its centre of mass is."""
-
-    name: str
-    uid: int
-    joints: dict[str, int]
-    links: dict[str, int]
-    com: Array  # (7,) PyBullet's body frame in the base's own frame
-
-
-@dataclass(frozen=True, eq=False)
-class StaticPart:
-    """The boxes of one material of one body of a scene that never moves."""
-
-    handle: Handle
-    body: int
-    material: int
-
-
-@dataclass(frozen=True, eq=False)
-class Hits:
-    """What N rays met. body is PyBullet's number, or -1; fraction is 1 where nothing was hit, else in [0, 1] of the way."""
-
-    body: Array  # (N,) int64
-    link: Array  # (N,) int64
-    fraction: Array  # (N,) float64
-    position: Array  # (N, 3) m
-    normal: Array  # (N, 3)
-
-
-@dataclass(frozen=True, eq=False)
-class Contacts:
-    """Touching pairs: PyBullet's numbers of body and link on both sides, the place on b, the gap (negative where they overlap)."""
-
-    body: Array  # (N, 2) int64
-    link: Array  # (N, 2) int64
-    position: Array  # (N, 3) m, world frame
-    gap: Array  # (N,) m
-    force: Array  # (N,) N, normal force
 
 
 class Client:
@@ -195,13 +153,22 @@ class Client:
         """One fixed compound of `boxes`, which are in the frame `pose`."""
         return self.load(urdf.compound(name, boxes), name, pose, fixed=True)
 
+    def load_box(self, half: ArrayLike, pose: ArrayLike, name: str) -> Handle:
+        """One fixed box with half edges `half` (3,) around `pose` (7,), which is its frame."""
+        pose, half = _checked_pose(pose, name), np.asarray(half, dtype=np.float64).tolist()
+        shape = self._p.createCollisionShape(self._p.GEOM_BOX, halfExtents=half, physicsClientId=self._id)
+        uid = self._p.createMultiBody(0, shape, basePosition=pose[:3].tolist(), baseOrientation=_xyzw(pose[3:]), physicsClientId=self._id)
+        handle = self._handle(uid, name)
+        self._self_test(handle)
+        return handle
+
     def load_floor(self, height: float = 0.0, friction: float = 0.8) -> Handle:
         """An endless level floor. A plane: wheels on it never meet the seams and edges that boxes have."""
         shape = self._p.createCollisionShape(self._p.GEOM_PLANE, planeNormal=[0, 0, 1], physicsClientId=self._id)
         uid = self._p.createMultiBody(0, shape, basePosition=[0, 0, height], physicsClientId=self._id)
         handle = self._handle(uid, "floor")
         self.surface(handle, friction=friction)
-        self._assert_hit(handle, BASE, np.array([0.0, 0.0, height - 1.0]))
+        self._assert_hit(handle, BASE, np.array([0.0, 0.0, height + 1.0]), np.array([0.0, 0.0, height - 1.0]))
         return handle
 
     def remove(self, handle: Handle) -> None:
@@ -367,13 +334,15 @@ class Client:
                     if link == BASE
                     else self._p.getLinkState(handle.uid, link, computeForwardKinematics=1, physicsClientId=self._id)
                 )
-                self._assert_hit(handle, link, frames.to_world([*state[0], *_wxyz(state[1])], shapes[0][5]))
+                center = frames.to_world([*state[0], *_wxyz(state[1])], shapes[0][5])
+                top = self._p.getAABB(handle.uid, link, physicsClientId=self._id)[1][2]
+                self._assert_hit(handle, link, np.array([*center[:2], top + 1.0]), center)
                 tested += 1
         if not tested:
             raise RuntimeError(f"{handle.name} can't be hit by a ray: it has no collision shape")
 
-    def _assert_hit(self, handle: Handle, link: int, center: Array) -> None:
-        above, number, found = center + np.array([0.0, 0.0, 100.0]), 0, None
+    def _assert_hit(self, handle: Handle, link: int, above: Array, center: Array) -> None:
+        number, found = 0, None
         while found != NOTHING:  # whatever else stands above it
             hit = self.hits([above], [center], number)
             found = int(hit.body[0])
