@@ -21,7 +21,7 @@ from worlds.paths import Trip, plan
 if TYPE_CHECKING:
     from worlds.bullet import Client
 
-SOLVER_ITERATIONS = 20  # of the contact solver; with PyBullet's 50 vehicles run no straighter, and a step takes half as long again
+SOLVER_ITERATIONS = 20  # of the contact solver: straight runs are true to 0.01 mm. PyBullet's 50 are truer still, and cost a third more
 
 
 class Mover:
