@@ -22,7 +22,7 @@ _PLAIN = ("name", "title", "seed", "trials", "duration_s", "prior", "report_hz",
 
 def build(document: Any, source: Source, text: str, path: Path | None) -> Scenario:
     """The scenario of a document and, with it, of every point of its sweep. ScenarioError with all mistakes of them all."""
-    review = Review(source)
+    review = Review(source, source.faults)
     if not isinstance(document, dict):
         review.note((), f"a scenario is a mapping that begins with a name, as in name: dock, not {shown(document)}")
         review.finish()
@@ -52,7 +52,7 @@ def _points(
     found: list[Point] = []
     for index, indices in enumerate(overrides.combinations(choices, singly) if choices else ()):
         varied, place = overrides.varied(document, source, choices, indices)
-        review = Review(place)
+        review = Review(place, source.faults)
         scenario = _whole(varied, review, text, path)
         problems += review.problems
         if scenario is None:
@@ -75,8 +75,8 @@ def _whole(raw: dict[str, Any], review: Review, text: str, path: Path | None) ->
         for group in ("actors", "sensors", "estimators")
     }
     metrics = _metrics(raw, review)
-    for group, found in (*groups.items(), ("metrics", metrics)):
-        sections.distinct(found, group, review)
+    for group in (*groups, "metrics"):
+        sections.distinct(raw.get(group), group, review)
     rules = tags.rules(raw.get("tags"), ("tags",), None, review)
     tags.distinct([*rules, *(tag for actor in groups["actors"] for tag in actor.tags)], {actor.id for actor in groups["actors"]}, review)
     columns = sections.columns(metrics, review)

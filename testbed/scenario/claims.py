@@ -82,7 +82,7 @@ def _subject(subject: str, estimators: Sequence[str], loc: Loc, review: Review) 
     parts = [part.strip() for part in subject.split(" - ")]
     for part in parts:
         if part not in estimators:
-            review.note(loc, f"no estimator has the id {part!r}{suggest(part, [*estimators, WORLD])}", at_key=True)
+            review.note(loc, f"no estimator has the id {part!r}{suggest(part, list(dict.fromkeys([*estimators, WORLD])))}", at_key=True)
     if len(parts) > 2 or len(set(parts)) < len(parts):
         review.note(loc, 'a difference is of two estimators, as in "ekf - ukf"', at_key=True)
     return " - ".join(parts)

@@ -13,7 +13,7 @@ from typing import Any
 from testbed.plugins import suggest
 from testbed.scenario import overrides
 from testbed.scenario.build import build
-from testbed.scenario.nodes import MAX_BYTES, checked, read
+from testbed.scenario.nodes import MAX_BYTES, checked, read, read_on
 from testbed.scenario.problems import ScenarioError, refuse
 from testbed.scenario.scenario import Scenario
 from testbed.scenario.source import Source
@@ -34,8 +34,8 @@ def load(path_or_name: str | Path, sets: Sets = ()) -> Scenario:
 
 def from_text(text: str, path: str = "<text>", sets: Sets = (), file: Path | None = None) -> Scenario:
     """The scenario of a YAML text. `path` is what errors call it; its tables lie beside `file`."""
-    root = read(text, path)
-    source = Source(path, root, file.parent if file else None)
+    root, faults = read_on(text, path)
+    source = Source(path, root, file.parent if file else None, faults=tuple(faults))
     return _build(root.plain(), source, text, file, sets)
 
 

@@ -88,13 +88,24 @@ class Node:
 
 def read(text: str, path: str) -> Node:
     """The tree of a text. ScenarioError with all that is wrong with it as YAML: syntax, limits, doubled keys, tags."""
+    root, faults = read_on(text, path)
+    if faults:
+        raise ScenarioError(faults)
+    return root
+
+
+def read_on(text: str, path: str) -> tuple[Node, list[Problem]]:
+    """The tree of a text, and what is wrong with single values or keys of it; so that all else that is wrong can be told with them.
+
+    ScenarioError for what leaves no tree to go on with: wrong syntax, too much of anything.
+    """
     if len(text) > MAX_BYTES or len(text.encode("utf-8", "surrogatepass")) > MAX_BYTES:
         raise refuse(path, f"over {MAX_BYTES // 1_000_000} MB: too large for a scenario; move long lists of tags to a csv file")
     if tab := _TAB.search(text):
         line = text.count("\n", 0, tab.start()) + 1
         raise refuse(path, "a tab in the indentation: YAML wants spaces", line, tab.end() - tab.start())
     try:
-        root = _Builder(path).build(YAML(typ="safe", pure=True).parse(text))
+        return _Builder(path).build(YAML(typ="safe", pure=True).parse(text))
     except ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         raise refuse(path, f"the character {error.character!r} is not allowed in YAML", line) from None
@@ -106,7 +117,6 @@ def read(text: str, path: str) -> Node:
         if isinstance(error, ScenarioError):
             raise
         raise refuse(path, f"not valid YAML: {str(error).splitlines()[0]}") from None
-    return root
 
 
 def _syntax(error: MarkedYAMLError) -> str:
@@ -141,7 +151,7 @@ class _Builder:
         self.root: Node | None = None
         self.nodes = 0
 
-    def build(self, events: Iterator[Any]) -> Node:
+    def build(self, events: Iterator[Any]) -> tuple[Node, list[Problem]]:
         documents = 0
         for event in events:
             line, column = event.start_mark.line + 1, event.start_mark.column + 1
@@ -157,9 +167,7 @@ class _Builder:
                 self._value(event, line, column)
         if self.root is None:
             raise refuse(self.path, "the file is empty", 1)
-        if self.problems:
-            raise ScenarioError(self.problems)
-        return self.root
+        return self.root, self.problems
 
     def _value(self, event: Any, line: int, column: int) -> None:
         if self._wants_key() and not isinstance(event, ScalarEvent):

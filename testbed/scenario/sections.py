@@ -65,17 +65,20 @@ def every(raw: Any, loc: Loc, review: Review, make: Callable[[Any, Loc], Any]) -
     return found
 
 
-def distinct(found: list[Any], group: str, review: Review) -> None:
-    """Put down every id that is used twice in a group."""
+def distinct(raw: Any, group: str, review: Review) -> None:
+    """Put down every id that is used twice in a group, whether or not the sections are right otherwise."""
     first: dict[str, Loc] = {}
-    for section in found:
-        if section.id in first:
-            line = review.source.line(first[section.id])
-            where = f"in line {line}" if line else f"as item {first[section.id][-1]}"
-            review.note((*section.loc, "id"), f"the id {section.id!r} is used twice in {group}, first {where}")
-        elif group == "estimators" and section.id == WORLD:
-            review.note((*section.loc, "id"), f"{WORLD!r} can't be an estimator's id: under expect it means the world")
-        first.setdefault(section.id, section.loc)
+    for i, item in enumerate(raw if isinstance(raw, list) else ()):
+        name = item.get("id", item.get("kind")) if isinstance(item, dict) else None
+        if not isinstance(name, str):
+            continue
+        if name in first:
+            line = review.source.line(first[name])
+            where = f"in line {line}" if line else f"as item {first[name][-1]}"
+            review.note((group, i, "id"), f"the id {name!r} is used twice in {group}, first {where}")
+        elif group == "estimators" and name == WORLD:
+            review.note((group, i, "id"), f"{WORLD!r} can't be an estimator's id: under expect it means the world")
+        first.setdefault(name, (group, i))
 
 
 def columns(metrics: list[Section], review: Review) -> list[str] | None:

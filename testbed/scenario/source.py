@@ -46,6 +46,7 @@ class Override:
 class Source:
     """A document's origin. `root` is None where it came from Python; `folder` is where its tables lie, None without a file.
 
+    faults : what is wrong with the text itself, found while it was read
     tables : contents of the tables read so far; memo : what was judged already, shared by the points of a sweep
     """
 
@@ -53,6 +54,7 @@ class Source:
     root: Node | None = None
     folder: Path | None = None
     overrides: tuple[Override, ...] = ()
+    faults: tuple[Problem, ...] = ()
     tables: dict[str, str] = field(default_factory=dict)
     memo: dict[Any, Any] = field(default_factory=dict)
 
@@ -107,13 +109,16 @@ class Source:
 class Review:
     """The mistakes found so far in one document, and the way to find more."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: Source, faults: Iterable[Problem] = ()) -> None:
         self.source = source
-        self.problems: list[Problem] = []
+        self.problems: list[Problem] = list(faults)
+        self._faulty = {(fault.line, fault.column) for fault in faults if fault.column}
 
     def note(self, loc: Loc, message: str, at_key: bool = False) -> None:
         """Put down a mistake."""
-        self.problems.append(self.source.problem(loc, message, at_key))
+        problem = self.source.problem(loc, message, at_key)
+        if (problem.line, problem.column) not in self._faulty:  # what stands there in place of a faulty value is nobody's mistake
+            self.problems.append(problem)
 
     def check(self, model: type[M], data: Any, loc: Loc, known: Iterable[str] = ()) -> M | None:
         """The validated model, or None with its mistakes put down. `known` are keys that belong there besides the model's."""

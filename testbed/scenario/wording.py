@@ -70,8 +70,9 @@ def extra(word: str, known: list[str]) -> str:
         if own in UNITS and base in stems:
             return f"extra field: it is wanted in {UNITS[own]}, as {field}"
     near = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
-    if not near:  # rate_hz for read_rate_hz: short names drown in the length of the longer one
-        near = [k for k in known if len(word) >= 3 and (word in k.split("_") or k.endswith(f"_{word}") or k.startswith(f"{word}_"))][:1]
+    if not near and len(word) >= 3:  # rate_hz for read_rate_hz, per_bay for per_group: what they share drowns in the rest
+        starts = f"{word.partition('_')[0]}_"
+        near = [k for k in known if word in k.split("_") or k.endswith(f"_{word}") or ("_" in word and k.startswith(starts))][:1]
     if near:
         return f"extra field, did you mean {near[0]}?"
     return f"extra field{suggest(word, known)}"
@@ -163,8 +164,12 @@ def _type(kind: str, message: str, value: Any) -> str:
         return f"a whole number is wanted, not {shown(value)}"
     if stem not in _WANTED:
         return message[:1].lower() + message[1:].replace("Input should", "should")
-    quotes = ": put it in quotes" if stem == "string" and isinstance(value, (int, float)) else ""
-    return f"{_WANTED[stem]} is wanted, not {shown(value)}{quotes}"
+    mend = ""
+    if stem == "string" and isinstance(value, (int, float)):
+        mend = ": put it in quotes"
+    elif _WANTED[stem] == "a list" and isinstance(value, (str, int, float)) and not isinstance(value, bool):
+        mend = f": put it in brackets, [{value}]"
+    return f"{_WANTED[stem]} is wanted, not {shown(value)}{mend}"
 
 
 def _brief(limit: Any) -> str:

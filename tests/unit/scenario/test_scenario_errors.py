@@ -136,6 +136,27 @@ def test_every_mistake_of_a_file_is_told_at_once_in_the_order_of_the_file(fakes)
     ]
 
 
+def test_faults_of_the_yaml_and_of_the_scenario_are_told_together(fakes):
+    text = VALID.replace("duration_s: 10", "duration_s: .inf").replace("range_m: 5", "range_m: 5, range_m: -6") + "trials: !x 3\nsedd: 1\n"
+    assert told(text.replace("hall", "hal")).splitlines() == [
+        "dock.yaml:4:13: a finite number is wanted, not .inf",
+        "dock.yaml:5:15 world.kind: no world named 'hal', did you mean hall?",
+        "dock.yaml:12:51: the key 'range_m' stands here a second time, first in line 12",
+        "dock.yaml:15:1: the key 'trials' stands here a second time, first in line 3",
+        "dock.yaml:15:9: the tag '!x' is not allowed: a scenario is plain data and can't name code",
+        "dock.yaml:16:1 sedd: extra field, did you mean seed?",
+    ]
+
+
+def test_an_id_used_twice_is_told_though_the_section_is_wrong_otherwise(fakes, document):
+    document |= {"estimators": [{"kind": "ekf", "gate": 9}, {"id": "ekf", "kind": "ufk"}], "expect": {}}
+    assert told(document).splitlines() == [
+        "<dict> estimators.0.gate: must be less than 1, is 9",
+        "<dict> estimators.1.kind: no estimator named 'ufk', did you mean ukf?",
+        "<dict> estimators.1.id: the id 'ekf' is used twice in estimators, first as item 0",
+    ]
+
+
 def test_a_missing_field_is_placed_at_what_should_hold_it(fakes):
     assert told("name: x\n").splitlines() == [f"dock.yaml:1:1 {name}: missing" for name in ("seed", "trials", "duration_s", "world")]
     assert told(VALID.replace("kind: cart", "load: 0.1")) == "dock.yaml:7:5 actors.0: missing: kind, one of cart"
@@ -202,7 +223,7 @@ MISTAKES = [
     (["prior", "position_std_m"], True, "prior.position_std_m: a number is wanted, not true"),
     (["survey"], {"antenna_yaw_std_rad": 1}, "survey.antenna_yaw_std_rad: extra field: it is wanted in degrees, as antenna_yaw_std_deg"),
     (["metrics"], [{"kind": "availability"}] * 2, "metrics.1.id: the id 'availability' is used twice in metrics"),
-    (["targets"], "t1", "targets: a list is wanted, not 't1'"),
+    (["targets"], "t1", "targets: a list is wanted, not 't1': put it in brackets, [t1]"),
     (["hold_s"], float("inf"), "hold_s: a finite number is wanted, not inf"),
 ]  # fmt: skip
 

@@ -112,3 +112,15 @@ def test_reading_scenarios_wakes_no_heavy_library():
     code = f"import sys, testbed.scenario as s; s.starter(); s.listing(); print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    "kind", ["this", "os:system", "os.system", "testbed.cli", "../estimators/ekf", "__init__", "ekf.py", "", "x" * 10_000]
+)
+@pytest.mark.parametrize("group", ["estimators", "sensors"])
+def test_a_kind_is_a_registered_name_and_nothing_that_could_be_imported(kind, group):
+    with pytest.raises(ScenarioError) as caught:
+        from_text(VALID + f"{group}: [{{kind: '{kind}'}}]\n", "dock.yaml")
+    assert f"dock.yaml:7:{len(group) + 11} {group}.0.kind: no {group[:-1]} named" in str(caught.value)
+    assert "this" not in sys.modules
+    assert len(str(caught.value)) < 2000

@@ -58,7 +58,7 @@ def test_an_actors_own_tags_are_on_the_actor(fakes, document):
         ({"mount": "left"}, "tags.0: missing: on"),
         ({"on": "r", "per_group": 0}, "tags.0.per_group: must be at least 1, is 0"),
         ({"on": "r", "mount": "x", "yaw_deg": 4}, "tags.0: yaw_deg goes with position_m alone"),
-        ({"per_bay": 4, "on": "r", "per_group": 1}, "tags.0.per_bay: extra field"),
+        ({"per_bay": 4, "on": "r", "per_group": 1}, "tags.0.per_bay: extra field, did you mean per_group?"),
         ({"position": [0, 0, 0]}, "tags.0.position: extra field: it is wanted in metres, as position_m"),
         ({"id": 300, "position_m": [0, 0, 0]}, "tags.0.id: a text is wanted, not 300: put it in quotes"),
         ({"id": "a b", "position_m": [0, 0, 0]}, "tags.0.id: 'a b' can't be a tag's name"),
