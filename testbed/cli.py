@@ -103,7 +103,7 @@ def _out() -> Console:
 
 
 def _console(file: TextIO) -> Console:
-    return Console(file=file, width=None if file.isatty() else 160, highlight=False)
+    return Console(file=file, width=None if file.isatty() else 180, highlight=False)
 
 
 def _print_json(document: Any) -> None:

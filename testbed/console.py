@@ -33,10 +33,10 @@ HEADINGS = {
 
 
 def amount(interval: Interval | None) -> str:
-    """A mean with its standard error, as "0.312 ± 0.010"; "–" where there is none."""
+    """A mean with its standard error, as "0.31 ± 0.01"; "–" where there is none."""
     if interval is None or math.isnan(interval.mean):
         return "–"
-    digits = 3 if abs(interval.mean) < 100 else 1
+    digits = 3 if 0 < abs(interval.mean) < 0.1 else 2 if abs(interval.mean) < 100 else 1
     spread = "" if math.isnan(interval.se) else f" ± {interval.se:.{digits}f}"
     return f"{interval.mean:.{digits}f}{spread}"
 
@@ -50,7 +50,7 @@ def results(console: Console, title: str, summaries: Sequence[Summary], sets: Ma
         table = Table(title=f"{title}{': ' + swept if swept else ''}", title_justify="left", caption_justify="left")
         table.add_column("estimator")
         for column in shown:
-            table.add_column(HEADINGS[column], justify="right")
+            table.add_column(HEADINGS[column], justify="right", no_wrap=True)
         table.add_column("trials", justify="right")
         for s in here:
             n = max((i.n for i in s.statistics.values()), default=0)
