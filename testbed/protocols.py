@@ -7,7 +7,7 @@ Every plug-in is a class named like its file (`estimators/ekf_filterpy.py` holds
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
@@ -18,6 +18,7 @@ from testbed.columns import Array, Columns, Table, column
 from testbed.geometry import Boxes, Mounts
 from testbed.rng import RowRandom
 from testbed.types import Antennas, Estimate, Event, Prior, Site, Status, Tags, Track, UpdateInfo
+from testbed.view import Camera, Image
 
 if TYPE_CHECKING:  # only to annotate: whoever imports this module for `Estimator` can't reach the truth through it
     from testbed.recording import Trial
@@ -123,6 +124,30 @@ class World(Protocol):
 
     def close(self) -> None:
         """Give back what the world holds (a physics client)."""
+        ...
+
+
+class Renderer(Protocol):
+    """Takes pictures of one scene."""
+
+    def render(self, camera: Camera, poses: Array, cut: Collection[int] = (), smooth: int = 2) -> Image:
+        """The scene with its moving bodies at `poses` (moving bodies, 7), in the order of `scene.moving`.
+
+        Of the bodies `cut` (indices) only a stub on the floor is drawn. Colours are averaged over smooth x smooth samples a pixel.
+        """
+        ...
+
+    def close(self) -> None:
+        """Give back what it holds."""
+        ...
+
+
+@runtime_checkable
+class Renders(Protocol):
+    """A world that can show its scenes."""
+
+    def renderer(self, scene: Scene) -> Renderer:
+        """ImportError, saying what to install, where nothing can be drawn on this machine."""
         ...
 
 

@@ -8,6 +8,7 @@ the one at the top left.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -53,6 +54,7 @@ class Camera:
         if not 0 < self.near < self.far < np.inf:
             raise ValueError(f"camera {self.name}: 0 < near < far is wanted, got {self.near} m and {self.far} m")
 
+    @cached_property
     def axes(self) -> Array:
         """(3, 3), rows: the directions in the world of the picture's right, of its top, and of the optical axis backwards."""
         back = self.position - self.target
@@ -66,8 +68,8 @@ class Camera:
     def view_matrix(self) -> Array:
         """(4, 4): from the world to the eye, column vectors."""
         matrix = np.eye(4)
-        matrix[:3, :3] = self.axes()
-        matrix[:3, 3] = -self.axes() @ self.position
+        matrix[:3, :3] = self.axes
+        matrix[:3, 3] = -self.axes @ self.position
         return matrix
 
     def projection_matrix(self) -> Array:
@@ -86,25 +88,33 @@ class Camera:
         Pixels are NaN for points that are nearer than `near`, most of them behind the camera.
         """
         p = np.asarray(points, dtype=np.float64)
-        clip = np.concatenate([p, np.ones((*p.shape[:-1], 1))], axis=-1) @ (self.projection_matrix() @ self.view_matrix()).T
+        clip = np.concatenate([p, np.ones((*p.shape[:-1], 1))], axis=-1) @ self._clip.T
         depth = clip[..., 3]
         w = np.where(depth >= self.near, depth, np.nan)
         u = (clip[..., 0] / w + 1) * self.width / 2 - 0.5
         v = (1 - clip[..., 1] / w) * self.height / 2 - 0.5
         return np.stack([u, v], axis=-1), depth
 
+    @cached_property
+    def _clip(self) -> Array:
+        return self.projection_matrix() @ self.view_matrix()
+
     def rays(self) -> Array:
         """(height, width, 3): what each pixel's middle sees lies at `position + depth * ray`, m."""
-        u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
-        return self.directions(np.stack([u, v], axis=-1))
+        right, top, back = self.axes
+        x, y = self._slopes(np.arange(self.width)[None, :, None], np.arange(self.height)[:, None, None])
+        return x * right + (y * top - back)
 
     def directions(self, pixels: ArrayLike) -> Array:
         """(..., 3): the same for any pixels (..., 2); one metre along the optical axis each."""
         uv = np.asarray(pixels, dtype=np.float64)
+        x, y = self._slopes(uv[..., 0], uv[..., 1])
+        return np.stack([x, y, -np.ones_like(x)], axis=-1) @ self.axes
+
+    def _slopes(self, u: Array, v: Array) -> tuple[Array, Array]:
+        """How far to the right and to the top pixels see, each m of depth."""
         tall = np.tan(self.field_of_view / 2)
-        x = (2 * (uv[..., 0] + 0.5) / self.width - 1) * tall * self.width / self.height
-        y = (1 - 2 * (uv[..., 1] + 0.5) / self.height) * tall
-        return np.stack([x, y, -np.ones_like(x)], axis=-1) @ self.axes()
+        return (2 * (u + 0.5) / self.width - 1) * tall * self.width / self.height, (1 - 2 * (v + 0.5) / self.height) * tall
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from testbed.view import MAX_SIDE, NOTHING, Camera, Image
 from worlds.bullet import Handle
 from worlds.ground import Ground, corners
 from worlds.paint import BACKGROUND, colour
-from worlds.stage import VisualClient
+from worlds.stage import VisualClient, Window
 
 STUB = 0.12  # m: what is left of a body that is cut off
 SHADOWLESS = frozenset({"wall", "roof", "ceiling"})  # a hall is lit from inside
@@ -36,15 +36,16 @@ class Layer:
     depth: Array
     body: Array
 
-    def before(self, other: Layer) -> Layer:
-        """The two as one: at each pixel whichever is nearer, this one on a tie."""
-        wins = self.depth <= other.depth
-        return Layer(
-            np.where(wins[..., None], self.rgb, other.rgb), np.where(wins, self.depth, other.depth), np.where(wins, self.body, other.body)
-        )
+    def before(self, other: Layer, window: Window) -> Layer:
+        """The two as one, where this one fills a window of the other: at each pixel whichever is nearer, this one on a tie."""
+        part = np.s_[window.top : window.top + window.height, window.left : window.left + window.width]
+        wins = np.nonzero((self.depth <= other.depth[part]) & (self.body != NOTHING))
+        rgb, depth, body = other.rgb.copy(), other.depth.copy(), other.body.copy()
+        rgb[part][wins], depth[part][wins], body[part][wins] = self.rgb[wins], self.depth[wins], self.body[wins]
+        return Layer(rgb, depth, body)
 
 
-class Renderer:
+class SceneRenderer:
     """Draws a scene for any camera, its moving bodies at any poses. Holds two physics clients: close it, or use it in a `with`.
 
     PybulletMissing (an ImportError) where there is no PyBullet.
@@ -85,11 +86,12 @@ class Renderer:
         self._stand(frozenset(int(i) for i in cut))
         for body, pose in zip(self._moving, poses, strict=True):
             self._movers.place(body, pose)
+        moved = self._moved(poses)
         smooth = max(1, min(int(smooth), MAX_SIDE // max(camera.width, camera.height)))
         fine = replace(camera, width=camera.width * smooth, height=camera.height * smooth)
-        exact, _ = self._drawn(camera)
-        large, backdrop = (exact, self._backdrop(camera)) if smooth == 1 else self._drawn(fine)
-        rgb = self._painted(large, backdrop, self._floor(poses))
+        exact = self._drawn(camera, moved)
+        large = exact if smooth == 1 else self._drawn(fine, moved)
+        rgb = self._painted(large, self._backdrop(fine), self._floor(moved))
         if smooth > 1:
             rgb = cv2.resize(rgb, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
         return Image(camera, rgb, exact.depth.astype(np.float64), exact.body)
@@ -120,30 +122,38 @@ class Renderer:
 
     # ------------------------------------------------------------ the picture
 
-    def _drawn(self, camera: Camera) -> tuple[Layer, _Backdrop]:
+    def _moved(self, poses: Array) -> Boxes:
+        """The boxes of all moving bodies, in the world frame."""
+        boxes = self._scene.boxes.take(np.isin(self._scene.boxes.body, self._moving))
+        if not len(boxes):
+            return boxes
+        pose = poses[np.searchsorted(self._moving, boxes.body)]
+        return boxes.with_(center=frames.to_world(pose, boxes.center), quaternion=frames.multiply(pose[:, 3:], boxes.quaternion))
+
+    def _drawn(self, camera: Camera, moved: Boxes) -> Layer:
         """Everything but the floor's colours; floor pixels have the floor's depth."""
         backdrop = self._backdrop(camera)
         layer = backdrop.layer
-        if self._moving:
-            layer = self._movers.drawn(camera).before(layer)
+        window = covering(camera, moved)
+        if window is not None:
+            layer = self._movers.drawn(camera, window).before(layer, window)
         seen = layer.depth <= backdrop.floor
-        return Layer(layer.rgb, np.minimum(layer.depth, backdrop.floor), np.where(seen, layer.body, NOTHING)), backdrop
+        return Layer(layer.rgb, np.minimum(layer.depth, backdrop.floor), np.where(seen, layer.body, NOTHING))
 
-    def _floor(self, poses: Array) -> Array:
+    def _floor(self, moved: Boxes) -> Array:
         """(rows, columns, 3) uint8: the floor with the shadows of everything on it."""
-        if not self._moving:
-            return self._ground.shaded(self._shadow)
-        boxes = self._scene.boxes.take(np.isin(self._scene.boxes.body, self._moving))
-        pose = poses[np.searchsorted(self._moving, boxes.body)]
-        moved = boxes.with_(center=frames.to_world(pose, boxes.center), quaternion=frames.multiply(pose[:, 3:], boxes.quaternion))
-        return self._ground.shaded(np.maximum(self._shadow, self._ground.shadow(moved)))
+        shadow = self._shadow
+        if len(moved):
+            shadow = np.maximum(shadow, self._ground.shadow(moved))
+        return self._ground.shaded(shadow)
 
     def _painted(self, layer: Layer, backdrop: _Backdrop, floor: Array) -> Array:
         """(H, W, 3) uint8: bodies, floor and background with their edges drawn."""
         ground = cv2.remap(floor, backdrop.columns, backdrop.rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        rgb = np.where((layer.depth < backdrop.floor)[..., None], layer.rgb, ground)
-        rgb[~np.isfinite(layer.depth)] = BACKGROUND
-        return (rgb * edges(layer.depth, backdrop.angle)[..., None]).astype(np.uint8)
+        rgb = cv2.copyTo(layer.rgb, (layer.body != NOTHING).astype(np.uint8), ground)
+        rgb[np.isinf(layer.depth)] = BACKGROUND
+        bright = edges(layer.depth, backdrop.angle)
+        return cv2.multiply(rgb, cv2.merge([bright, bright, bright]), dtype=cv2.CV_8U)
 
 
 class _Backdrop:
@@ -190,13 +200,30 @@ class _Bodies:
         for handle in self._handles.get(body, ()):
             self._client.place(handle, pose)
 
-    def drawn(self, camera: Camera) -> Layer:
-        rgb, depth, number = self._client.picture(camera)
+    def drawn(self, camera: Camera, window: Window | None = None) -> Layer:
+        rgb, depth, number = self._client.picture(camera, window)
         whose = np.full(max((h.uid for hs in self._handles.values() for h in hs), default=-1) + 2, NOTHING, dtype=np.int32)
         for body, handles in self._handles.items():
             for handle in handles:
                 whose[handle.uid] = body
         return Layer(rgb, depth, whose[number])  # the last entry, found by -1, is NOTHING
+
+
+def covering(camera: Camera, boxes: Boxes) -> Window | None:
+    """The part of the picture that some boxes in the world frame can be seen in; None where there is no such part."""
+    if not len(boxes):
+        return None
+    pixels, depth = camera.project(corners(boxes))
+    if (depth < camera.near).all():
+        return None
+    side = np.array([camera.width, camera.height])
+    if (depth < camera.near).any():  # one of them passes the camera: it may cover anything
+        return Window(0, 0, *side.tolist())
+    low = np.clip(np.floor(pixels.min(axis=(0, 1))) - 1, 0, side - 1).astype(int)
+    high = np.clip(np.ceil(pixels.max(axis=(0, 1))) + 2, 1, side).astype(int)
+    # a sliver would make the engine's square tiles of work large: at least 8 px a side
+    low = np.minimum(low, side - 8)
+    return Window(*low.tolist(), *np.maximum(high - low, 8).tolist())
 
 
 def stubs(boxes: Boxes) -> Boxes:
@@ -218,5 +245,5 @@ def edges(depth: Array, angle: float) -> Array:
     creases and steps.
     """
     inverse = (1.0 / depth).astype(np.float32)  # the background is 0
-    bent = np.abs(cv2.Laplacian(inverse, cv2.CV_32F)) / np.maximum(inverse, 1e-4)
-    return 1.0 - np.minimum(EDGE_GAIN * np.maximum(bent / angle - 0.15, 0.0), EDGE_DARKNESS)
+    bent = np.abs(cv2.Laplacian(inverse, cv2.CV_32F)) / (np.maximum(inverse, 1e-4) * np.float32(angle))
+    return 1.0 - np.clip(EDGE_GAIN * (bent - 0.15), 0.0, EDGE_DARKNESS).astype(np.float32)

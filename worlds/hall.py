@@ -12,7 +12,7 @@ import numpy as np
 from testbed import quantity
 from testbed.columns import Array
 from testbed.geometry import Boxes, Mounts, Roads, Zones
-from testbed.protocols import ActorPlan, Caster
+from testbed.protocols import ActorPlan, Caster, Renderer
 from testbed.scene import Body, Scene, Truth
 from worlds.motion import Mover
 from worlds.parts import MATERIALS, Part
@@ -74,6 +74,12 @@ class BaseHall(ABC):
 
             return BulletCaster(scene, entry_db, per_metre_db)
         raise ValueError(f'no ray engine {engine!r}: "boxes" or "bullet"')
+
+    def renderer(self, scene: Scene) -> Renderer:
+        """Takes pictures of the scene; PybulletMissing (an ImportError) where there is no PyBullet."""
+        from worlds.camera import SceneRenderer
+
+        return SceneRenderer(scene)
 
     def close(self) -> None:
         """Give back the physics client, if one was needed."""

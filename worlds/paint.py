@@ -15,7 +15,7 @@ _MATERIALS: dict[str, str] = {
     "rack_bay": "#C2B49B",
     "carton": "#C9AC82",
     "liquid_pallet": "#8FB4C9",
-    "person": "#5B6B57",
+    "person": "#64796A",
     "wood": "#B08D62",
     "plastic": "#A9B7A4",
     "concrete": "#E4E3DF",

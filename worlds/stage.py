@@ -6,7 +6,7 @@ to itself: what comes out are plain arrays with depths in metres.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,16 @@ from worlds.bullet import Client, Handle
 
 BOXES_PER_MESH = 500  # 24 corners each: far from the engine's limits on a mesh
 LIGHT = np.array([0.35, -0.45, 0.82])  # towards the light, world frame: every visible side of a box gets a brightness of its own
-AMBIENT, DIFFUSE = 0.62, 0.42  # a face turned to the light is a little brighter than its colour, one turned away two thirds of it
+AMBIENT, DIFFUSE = 0.72, 0.34  # a face turned to the light has its own colour, one turned away three quarters of it
+
+
+class Window(NamedTuple):
+    """A part of a picture, px."""
+
+    left: int
+    top: int
+    width: int
+    height: int
 
 
 class VisualClient(Client):
@@ -46,17 +55,19 @@ class VisualClient(Client):
             handles.append(handle)
         return handles
 
-    def picture(self, camera: Camera) -> tuple[Array, Array, Array]:
+    def picture(self, camera: Camera, window: Window | None = None) -> tuple[Array, Array, Array]:
         """What the camera sees: (H, W, 3) uint8, depth (H, W) float32 in m along the optical axis, PyBullet's body numbers (H, W) int32.
 
-        Depth is inf and the number -1 where nothing is seen. No shadows: the engine's own are cast by a light of fixed reach.
+        Depth is inf and the number -1 where nothing is seen. `window` is the part of the picture that is wanted, H x W are then its.
+        No shadows: the engine's own are cast by a light of fixed reach.
         """
-        width, height = camera.width, camera.height
+        window = window or Window(0, 0, camera.width, camera.height)
+        width, height = window.width, window.height
         _, _, rgba, buffer, number = self._p.getCameraImage(
             width,
             height,
             viewMatrix=_columns(camera.view_matrix()),
-            projectionMatrix=_columns(_nudge(camera) @ camera.projection_matrix()),
+            projectionMatrix=_columns(_framing(camera, window) @ camera.projection_matrix()),
             lightDirection=(LIGHT / np.linalg.norm(LIGHT)).tolist(),
             lightColor=[1.0, 1.0, 1.0],
             lightAmbientCoeff=AMBIENT,
@@ -96,10 +107,15 @@ def mesh(boxes: Boxes) -> tuple[Array, Array, Array]:
     return corners.reshape(-1, 3), normals.reshape(-1, 3), triangles
 
 
-def _nudge(camera: Camera) -> Array:
-    """(4, 4) in clip space. TinyRenderer samples pixel (u, v) half a pixel left of and below its middle: push the picture there."""
+def _framing(camera: Camera, window: Window) -> Array:
+    """(4, 4) in clip space: the window becomes the whole picture.
+
+    TinyRenderer samples pixel (u, v) half a pixel left of and below its middle: the picture is pushed there.
+    """
     matrix = np.eye(4)
-    matrix[0, 3], matrix[1, 3] = -1.0 / camera.width, -1.0 / camera.height
+    matrix[0, 0], matrix[1, 1] = camera.width / window.width, camera.height / window.height
+    matrix[0, 3] = (camera.width - 2 * window.left - 1) / window.width - 1
+    matrix[1, 3] = 1 - (camera.height - 2 * window.top + 1) / window.height
     return matrix
 
 
