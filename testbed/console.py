@@ -116,7 +116,8 @@ def claims(console: Console, judged: Sequence[ClaimResult], path: str) -> None:
         got = "no value" if math.isnan(claim.value) else f"{claim.value:.4g}"
         mark = "[green]holds[/green]" if claim.ok else "[red]FAILED[/red]"
         note = f"; {claim.note}" if claim.note else ""
-        console.print(f"{mark} {path}:{claim.line}: {claim.text}: got {got}{between}{note}", highlight=False, soft_wrap=True)
+        place = path if claim.line is None else f"{path}:{claim.line}"  # a claim set from outside stands in no line
+        console.print(f"{mark} {place}: {claim.text}: got {got}{between}{note}", highlight=False, soft_wrap=True)
 
 
 def findings(console: Console, found: Sequence[Finding]) -> None:

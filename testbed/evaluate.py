@@ -216,7 +216,7 @@ class ClaimResult:
 
     point: int
     text: str
-    line: int
+    line: int | None
     value: float
     interval: tuple[float, float]
     ok: bool

@@ -1,6 +1,5 @@
 """The JSON Schema for editors says what the loader says; the starter is a scenario."""
 
-import contextlib
 import json
 import re
 
@@ -149,12 +148,7 @@ def test_the_starter_has_no_other_name_than_a_scenario_can_have():
 @pytest.mark.parametrize("group", plugins.GROUPS)
 def test_every_plug_in_that_ships_is_in_the_schema(group):
     offered = {entry["title"] for entry in json_schema()["$defs"][group].get("oneOf", [])}
-    loadable = set()
-    for name in plugins.names(group):
-        with contextlib.suppress(plugins.BrokenPlugin):
-            plugins.load(group, name)
-            loadable.add(name)
-    assert offered == loadable
+    assert offered == set(plugins.names(group))
 
 
 @pytest.mark.parametrize("name", [name for name, _, _ in listing()])
