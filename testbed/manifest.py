@@ -54,7 +54,7 @@ def versions(scenario: Scenario) -> dict[str, str]:
     """Of Python, of the libraries that figures depend on, of the testbed, and a digest of its code and of the plug-ins used."""
     found = {"python": platform.python_version(), "testbed": _version(DISTRIBUTION)}
     found |= {name: _version(name) for name in LIBRARIES}
-    return {**found, "code": _digest(scenario)}
+    return {**found, "code": _digest(_packages(scenario))}
 
 
 @cache
@@ -65,15 +65,18 @@ def _version(name: str) -> str:
         return "absent"
 
 
-def _digest(scenario: Scenario) -> str:
-    """A hash of the sources that the scenario's figures come from, so that a run is not continued by other code.
-
-    Those of the packages that the scenario's plug-ins lie in, and of the testbed itself.
-    """
-    packages = {"testbed"}
+def _packages(scenario: Scenario) -> frozenset[str]:
+    """The packages whose code a scenario's figures come from: those of its plug-ins, and the testbed itself."""
+    found = {"testbed"}
     for group in GROUPS:
         sections = [scenario.world] if group == "worlds" else getattr(scenario, group)
-        packages |= {origin(group, section.kind).partition(":")[0].partition(".")[0] for section in sections}
+        found |= {origin(group, section.kind).partition(":")[0].partition(".")[0] for section in sections}
+    return frozenset(found)
+
+
+@cache  # the code that this process runs does not change under it
+def _digest(packages: frozenset[str]) -> str:
+    """A hash of the sources of some packages, so that a run is not continued by other code."""
     digest = hashlib.sha256()
     for path in _sources(sorted(packages)):
         digest.update(path.name.encode())
