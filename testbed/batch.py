@@ -31,7 +31,7 @@ class Interrupted(Exception):
     """Ctrl-C in the middle of a run: what was finished is kept. The message says how to go on."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RunResult:
     """What a run found.
 
@@ -49,6 +49,18 @@ class RunResult:
     world_means: dict[int, dict[str, Interval]]
     claims: tuple[ClaimResult, ...]
     folder: Path | None = None
+
+    def __str__(self) -> str:
+        """What `testbed run` prints."""
+        from testbed.console import text  # rich, only where somebody looks
+
+        return text(self)
+
+    def __repr__(self) -> str:
+        found = {s.estimator: s.statistics.get("position_error_m.mean") for s in self.summaries if s.point == 0}
+        errors = ", ".join(f"{id} {i.mean:.3g} m" for id, i in found.items() if i is not None)
+        held = f"{sum(claim.ok for claim in self.claims)} of {len(self.claims)} claims hold"
+        return f"<RunResult {self.scenario.name}: {self.scenario.trials} trials, {len(self.failures)} failures, {held}; {errors}>"
 
     @property
     def ok(self) -> bool:
