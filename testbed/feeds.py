@@ -155,10 +155,12 @@ def _reference_reads(recordings: Sequence[Recording], hold: float) -> Feed:
 
 
 def _by_target(name: str, kind: type[Table], column: str) -> Callable[[Sequence[Recording], float], Feed]:
-    """The route of a stream with a column that holds the index of the target it is about."""
+    """The route of a stream with a column that holds the index of the target it is about, -1 where it is about none."""
 
     def route(recordings: Sequence[Recording], hold: float) -> Feed:
         table, recording = _joined(recordings, name, kind)
+        about = getattr(table, column) >= 0
+        table, recording = table.take(about), recording[about]
         first = _first_rows(recordings)
         row = np.arange(first[-1])
         return _feed(name, table, first[recording] + getattr(table, column), Lists.of(row, row, None, len(row)), hold)

@@ -6,6 +6,8 @@ its contract, not whether it is any good.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from testbed import frames
@@ -49,17 +51,36 @@ def recording(trial: int = 0, duration: float = 2.0, latency: float = 0.0, reads
     places = [(t,) for t in range(TARGETS - 1)] + [(TARGETS - 1, TARGETS)]
     rng = stream(7, trial, "samples")
     names = [f"tag{i}" for i in range(TARGETS - 1)] + ["cart"]
-    made = {
+    made: dict[str, Table] = {
         "reads": _reads(where, rng, duration, reads_hz),
         "odometry": _odometry(rng, duration),
         "heading": _heading(rng, duration),
         "ranges": _ranges(where, rng, duration),
     }
     made["rounds"], made["counts"] = _rounds(where, rng, duration)
-    streams = {kind: _arriving(table, rng, latency) for kind, table in made.items()}
     tags = tuple(np.array(p, dtype=np.int64) for p in places)
     asked = np.ones((1, len(where.tags)), dtype=bool)
-    return Recording(trial, duration, where, streams, Targets(np.array(names), np.array(names)), tags, asked)
+    return delayed(Recording(trial, duration, where, made, Targets(np.array(names), np.array(names)), tags, asked), latency)
+
+
+def delayed(recording: Recording, latency: float) -> Recording:
+    """The same recording with reports that arrive up to `latency` s after their time, and overtake each other."""
+    rng = stream(8, recording.trial, "latency")
+    return replace(recording, streams={kind: _arriving(table, rng, latency) for kind, table in recording.streams.items()})
+
+
+def only(recording: Recording, target: int) -> Recording:
+    """The recording as one of a single target: streams that name targets are cut to it."""
+    streams: dict[str, Table] = {}
+    for kind, table in recording.streams.items():
+        column = {"odometry": "carrier", "heading": "carrier", "ranges": "target"}.get(kind)
+        if column is not None:
+            mine = table.take(getattr(table, column) == target)
+            table = mine.with_(**{column: np.zeros(len(mine))})
+        streams[kind] = table
+    return replace(
+        recording, streams=streams, targets=recording.targets.take(np.array([target])), target_tags=(recording.target_tags[target],)
+    )
 
 
 def prior(recordings: list[Recording]) -> Prior:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -148,11 +149,7 @@ def test_rows_in_one_call_and_one_by_one_are_the_same_to_the_last_bit(pattern, h
     prior, row = prior_of(recordings), 0
     for r in recordings:
         for target in range(len(r.targets)):
-            odometry = r.streams["odometry"]
-            mine = odometry.take(odometry.carrier == target)
-            streams = {**r.streams, "odometry": mine.with_(carrier=np.zeros(len(mine)))}
-            alone = Recording(r.trial, r.duration, r.site, streams, r.targets.take([target]), (r.target_tags[target],))
-            single = drive([alone], prior=prior.take([row]), hold_s=hold)
+            single = drive([samples.only(r, target)], prior=prior.take([row]), hold_s=hold)
             np.testing.assert_array_equal(single.mean[:, 0], together.mean[:, row])
             np.testing.assert_array_equal(single.innovations.nis, together.innovations.nis[together.innovations.row == row])
             assert (single.late[0], single.used[0]) == (together.late[row], together.used[row])
@@ -163,18 +160,12 @@ def test_a_site_of_its_own_for_each_trial_changes_no_number():
     reads = [[(0.1 * i, 0.0, i % 3, i % 10) for i in range(trial, 10)] for trial in range(3)]
     shared = [recording(trial, [[0], [1, 2]], reads[trial], [(0.55, 0.0, 1, 2.0)]) for trial in range(3)]
     moved = samples.site().antennas.with_(position=samples.site().antennas.position + 0.01)
-    apart = [*shared]
-    apart[1] = Recording(1, 1.0, Site_with(moved), *(getattr(shared[1], n) for n in ("streams", "targets", "target_tags")))
+    apart = [shared[0], replace(shared[1], site=replace(samples.site(), antennas=moved)), shared[2]]
     together, separate = drive(shared), drive(apart)
     assert [len(d.told) for d in Diary.made] == [6, 4, 2]
     for name in ("mean", "covariance", "status", "trial", "target", "used", "refused", "late"):
         np.testing.assert_array_equal(getattr(together, name), getattr(separate, name))
     assert together.innovations.equals(separate.innovations)
-
-
-def Site_with(antennas):
-    site = samples.site()
-    return type(site)(antennas, site.tags, site.frequencies, site.references, site.obstacles, site.roads)
 
 
 def test_the_kth_events_of_all_rows_go_in_one_call():
@@ -235,6 +226,11 @@ def test_silence_is_told_to_the_rows_whose_tags_were_asked_and_to_no_other():
     a = [(0.1, 0, 0, 0, 10, 4), (0.2, 0, 1, 0, 10, 0)]
     b = [(0.1, 0, 0, 1, 10, 0), (0.1, 0, 0, 2, 10, 0), (0.2, 0, 1, 1, 10, 0), (0.2, 0, 1, 2, 10, 7), (0.3, 1, 0, 2, 10, 3)]
     assert Counting.made[0].told == [a, b, a, b]
+
+
+def test_odometry_of_a_body_that_is_no_target_goes_to_nobody():
+    drive([recording(trial, [[0], [1]], [], [(0.1, 0.0, -1, 1.0), (0.2, 0.0, 1, 2.0)]) for trial in range(2)])
+    assert Diary.made[0].told == [[], [("odometry", 0.2, 2.0)]] * 2
 
 
 def test_a_count_without_its_round_is_an_error_that_names_it():
