@@ -60,7 +60,7 @@ class Ground:
         return image
 
     def _line(self, image: Array, ends: Array, width: float, brightness: float) -> None:
-        a, b = (tuple(int(round(v)) for v in self.cells(p) * 2**_SHIFT) for p in ends)
+        a, b = (tuple(round(float(v)) for v in self.cells(p) * 2**_SHIFT) for p in ends)
         cv2.line(image, a, b, [round(c * brightness) for c in FLOOR], max(1, round(width / self.cell)), cv2.LINE_AA, _SHIFT)
 
     def shadow(self, boxes: Boxes) -> Array:

@@ -37,7 +37,7 @@ class CameraSpec(Config):
 
     * `position_m` (and `look_at_m`, else the middle of the hall): stands still. With `follow` it turns to that body;
     * `follow`: goes along with a body, at `offset_m` in the body's own frame (x ahead, y left, z up), or at `distance_m` from it
-      in the world's direction `azimuth_deg` (counter-clockwise from +x) and `elevation_deg` above it;
+      in the world's direction `azimuth_deg` (counter-clockwise from +x, else the one that racks hide least) and `elevation_deg` above it;
     * `shoulder`: looks over the right shoulder of a person, the way the person looks;
     * none of these: an overview of the whole hall, from the side `azimuth_deg` or from where most can be seen.
 

@@ -55,7 +55,7 @@ class _Sight:
 def _drawable(pixels: Array) -> Array:
     """(N,) bool: pixels (N, 2) that OpenCV can be given."""
     with np.errstate(invalid="ignore"):
-        return (np.abs(pixels) < _FAR).all(axis=1)
+        return np.all(np.abs(pixels) < _FAR, axis=1)
 
 
 def draw(

@@ -15,8 +15,8 @@ from testbed.view import Camera
 
 WALLS = frozenset({"wall", "roof", "ceiling"})  # kinds that may be cut off without being asked for
 OVERVIEW_VIEW, STILL_VIEW, FOLLOW_VIEW, SHOULDER_VIEW = (np.radians(a) for a in (32.0, 60.0, 45.0, 65.0))
-OVERVIEW_ELEVATION, FOLLOW_ELEVATION, FOLLOW_AZIMUTH, FOLLOW_DISTANCE = 38.0, 28.0, -60.0, 7.0  # degrees, m
-SIDES = (-60.0, -120.0, 120.0, 60.0, -30.0, -150.0, 150.0, 30.0)  # degrees: where an overview may be taken from, best first
+OVERVIEW_ELEVATION, FOLLOW_ELEVATION, FOLLOW_DISTANCE = 38.0, 28.0, 7.0  # degrees, m
+SIDES = (-60.0, -120.0, 120.0, 60.0, -30.0, -150.0, 150.0, 30.0)  # degrees: where a picture may be taken from, best first
 SPARE = 1.06  # of the picture's half sides: a little room at the rim
 
 Placed = tuple[Camera, frozenset[int]]  # a camera, and the bodies (indices) that are cut off for it
@@ -76,15 +76,29 @@ def _height(scene: Scene, body: int) -> float:
 
 def _following(spec: CameraSpec, scene: Scene, body: int, truth: Truth, t: float) -> tuple[Array, Array, float]:
     pose = _pose(scene.bodies[body], truth, t)
-    target = pose[:3] + [0.0, 0.0, _height(scene, body) / 2]
+    target = pose[:3] + np.array([0.0, 0.0, _height(scene, body) / 2])
     if spec.position_m is not None:
         return np.array(spec.position_m), target, FOLLOW_VIEW
     if spec.offset_m is not None:
         level = frames.from_euler(frames.yaw_of(pose[3:]))  # a rattling body does not shake the camera
         return pose[:3] + frames.rotate(level, np.array(spec.offset_m)), target, FOLLOW_VIEW
-    azimuth = FOLLOW_AZIMUTH if spec.azimuth_deg is None else spec.azimuth_deg
     elevation = FOLLOW_ELEVATION if spec.elevation_deg is None else spec.elevation_deg
-    return target + (spec.distance_m or FOLLOW_DISTANCE) * _direction(azimuth, elevation), target, FOLLOW_VIEW
+    sides = SIDES if spec.azimuth_deg is None else (spec.azimuth_deg,)
+    ways = [(spec.distance_m or FOLLOW_DISTANCE) * _direction(side, elevation) for side in sides]
+    return target + ways[_clearest(scene, body, truth, ways)], target, FOLLOW_VIEW
+
+
+def _clearest(scene: Scene, body: int, truth: Truth, ways: list[Array]) -> int:
+    """From which of some places beside a body it is seen most of the time: one for the whole trial, so that the camera doesn't jump."""
+    if len(ways) == 1:
+        return 0
+    boxes = scene.static_boxes()
+    kinds = np.array([b.kind in WALLS for b in scene.bodies])
+    boxes = boxes.take(~kinds[boxes.body] & (boxes.body != body))
+    name = scene.bodies[body].name
+    poses = truth.poses[:: max(1, len(truth.t) // 12), truth.index(name)] if name in truth.bodies else scene.bodies[body].pose[None]
+    middles = poses[:, :3] + np.array([0.0, 0.0, _height(scene, body) / 2])
+    return int(np.argmax([float((~crossed(middles + way, middles, boxes).any(axis=1)).mean()) for way in ways]))
 
 
 def _over_the_shoulder(scene: Scene, body: int, truth: Truth, t: float) -> tuple[Array, Array, float]:
@@ -147,7 +161,7 @@ def _seen(scene: Scene, truth: Truth, camera: Camera, cut: frozenset[int]) -> fl
     boxes = scene.static_boxes()
     boxes = boxes.take(~np.isin(boxes.body, list(cut)))
     every = max(1, len(truth.t) // 12)
-    ways = truth.poses[::every, :, :3].reshape(-1, 3) + [0.0, 0.0, 0.9]
+    ways = truth.poses[::every, :, :3].reshape(-1, 3) + np.array([0.0, 0.0, 0.9])
     free = [~crossed(np.tile(camera.position, (len(p), 1)), p, boxes).any(axis=1) for p in (ways, _floor_points(scene, 6))]
     return 0.7 * (float(free[0].mean()) if len(ways) else 0.0) + 0.3 * float(free[1].mean())
 
