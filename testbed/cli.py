@@ -254,7 +254,7 @@ def init(
     if path.exists() and not force:
         raise typer.Exit(_complain(f"{path} is there already: choose another name, or give --force"))
     try:
-        path.write_text(starter(), encoding="utf-8")
+        path.write_text(starter(path.stem if path.stem.isidentifier() else "my-scenario"), encoding="utf-8")
         beside.write_text(json.dumps(json_schema(), indent=1), encoding="utf-8")
     except OSError as error:
         raise typer.Exit(_complain(f"{path} can't be written: {error.strerror}")) from None
