@@ -110,10 +110,16 @@ def _equal(estimate: Estimate, was: tuple[Array, Array, Array]) -> bool:
 # ---------------------------------------------------------------- the rules
 
 
+def _says_what_it_estimates(case: _Case) -> None:
+    estimate = case.started().estimate()
+    n, rows = len(estimate.components), case.prior.rows
+    case.require(estimate.mean.shape == (rows, n), f"names {n} components and estimates {estimate.mean.shape} for {rows} rows")
+    case.require(estimate.covariance.shape == (rows, n, n), f"the covariance of {rows} rows of {n} is of shape {estimate.covariance.shape}")
+    case.require(len(set(estimate.components)) == n, "names a component twice")
+
+
 def _estimates_are_sound(case: _Case) -> None:
     track = case.track()
-    case.require(track.mean.shape[-1] == len(track.components), f"names {len(track.components)} components of {track.mean.shape[-1]}")
-    case.require(len(set(track.components)) == len(track.components), "names a component twice")
     case.sound(track, "on ordinary data")
     case.require(track.used.sum() > 0, "used not one event of ordinary data")
 
@@ -221,11 +227,12 @@ def _forgets(case: _Case) -> None:
 
 
 _CHECKS: tuple[Callable[[_Case], None], ...] = (
+    _says_what_it_estimates,
+    _updates_say_what_they_did,
     _estimates_are_sound,
     _repeats_itself,
     _estimate_is_pure,
     _predict_is_idempotent,
-    _updates_say_what_they_did,
     _survives_silence,
     _survives_duplicates,
     _survives_nan,
