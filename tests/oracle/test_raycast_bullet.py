@@ -68,7 +68,7 @@ def explanation(scene, cast, segment, box, length):
     pose = frames.compose(pose, np.concatenate([boxes.center[0], boxes.quaternion[0]]))
     ends = frames.to_local(pose, np.stack([start[segment], end[segment]]))
     apart = np.abs(np.abs(ends) - boxes.half[0])
-    return "runs within a face" if ((apart < WITHIN_FACE).all(axis=0) & (ends[0] * ends[1] > 0).all()).any() else None
+    return "runs within a face" if ((apart < WITHIN_FACE).all(axis=0) & (ends[0] * ends[1] > 0)).any() else None
 
 
 def differences(found, reference):
