@@ -44,15 +44,20 @@ def configured(cls: type, config: Any) -> Any:
 @contextmanager
 def untouched_globals(who: str) -> Iterator[None]:
     """ConformanceError if what happens inside draws from, or seeds, the global generators of `numpy.random` or `random`."""
-    before, ours = np.random.get_state(legacy=True), random.getstate()  # noqa: NPY002  to see that nobody else uses it
+    numpys, pythons = np.random.get_state(legacy=True), random.getstate()  # noqa: NPY002  to see that nobody else uses it
+    broken: ConformanceError | None = None
     try:
         yield
-    finally:
-        after = np.random.get_state(legacy=True)  # noqa: NPY002
-        touched = not all(np.array_equal(a, b) for a, b in zip(before, after, strict=True)) or random.getstate() != ours
-        np.random.set_state(before)  # noqa: NPY002  leave it as it was found
-        random.setstate(ours)
-    require(not touched, who, "uses the global random state: draw from the generator that is handed in")
+    except ConformanceError as error:
+        broken = error  # often its consequence: the cause is told first
+    now = np.random.get_state(legacy=True)  # noqa: NPY002
+    touched = random.getstate() != pythons or not all(np.array_equal(a, b) for a, b in zip(now, numpys, strict=True))
+    np.random.set_state(numpys)  # noqa: NPY002  left as it was found
+    random.setstate(pythons)
+    if touched:
+        raise ConformanceError(f"{who}: uses the global random state: draw from the generator that is handed in") from broken
+    if broken is not None:
+        raise broken
 
 
 def same(a: Array, b: Array) -> bool:

@@ -125,17 +125,38 @@ def _place_in_the_site_does_not_matter(case: _Case) -> None:
     case.require(differs is None, f"{differs} depend on how many antennas stand before this sensor's in the site")
 
 
+def _without_first_tag(sensed: Sensed) -> Sensed:
+    """The streams less all that is about tag 0, the other tags renumbered."""
+
+    def cut(stream: Table) -> Table:
+        if not hasattr(stream, "tag"):
+            return stream
+        tag: Array = getattr(stream, "tag")  # noqa: B009
+        return stream.take(tag > 0).with_(tag=tag[tag > 0] - 1)
+
+    return replace(sensed, streams={kind: cut(stream) for kind, stream in sensed.streams.items()})
+
+
 def _a_tag_out_of_reach_changes_nothing(case: _Case) -> None:
-    """The new tag is far away and comes first in the list: whoever draws by a tag's index, or in a row, is found out."""
-    before = case.sensed()
-    after = case.sensed(surroundings.with_a_far_tag_first(case.around))
-    for kind, stream in after.streams.items():
-        if hasattr(stream, "tag"):
-            tag: Array = getattr(stream, "tag")  # noqa: B009
-            known = stream.take(tag > 0)
-            after.streams[kind] = known.with_(tag=tag[tag > 0] - 1)  # pyright: ignore[reportIndexIssue]
-    differs = case.unlike(before, after)
-    case.require(differs is None, f"a tag out of reach changes the {differs} of the others: draw by name, not in a row")
+    """The new tag comes first in the list: whoever draws by a tag's index is found out."""
+    more = surroundings.with_a_tag_first(case.around, np.array([0.0, 0.0, 1e5]))
+    differs = case.unlike(case.sensed(), _without_first_tag(case.sensed(more)))
+    case.require(differs is None, f"a tag out of reach changes the {differs} of the others: draw by name, not by index")
+
+
+def _a_tag_in_reach_changes_no_draw(case: _Case) -> None:
+    """It may take the reader's time, so that reads fall elsewhere; but a read at the same instant is the same read."""
+    more = surroundings.with_a_tag_first(case.around, case.around.tagged.pose[-1, :3])
+    before, after = case.sensed(), _without_first_tag(case.sensed(more))
+    for kind in sorted({"reads"} & set(before.streams)):
+        a, b = (_by_instant(s.streams[kind]) for s in (before, after))
+        changed = any(not np.array_equal(a[key], b[key], equal_nan=True) for key in a.keys() & b.keys())
+        case.require(not changed, f"a tag in reach changes what {kind} of the others say: draw by name, not in a row")
+
+
+def _by_instant(stream: Any) -> dict[tuple[float, int, int], Array]:
+    values = np.stack([stream.channel, stream.rssi, stream.phase, stream.doppler], axis=1)
+    return dict(zip(zip(stream.t.tolist(), stream.antenna.tolist(), stream.tag.tolist(), strict=True), values, strict=True))
 
 
 _CHECKS: tuple[Callable[[_Case], None], ...] = (
@@ -145,4 +166,5 @@ _CHECKS: tuple[Callable[[_Case], None], ...] = (
     _repeats_itself,
     _place_in_the_site_does_not_matter,
     _a_tag_out_of_reach_changes_nothing,
+    _a_tag_in_reach_changes_no_draw,
 )

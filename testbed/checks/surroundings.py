@@ -41,11 +41,11 @@ def made(trial: int = 0) -> Surroundings:
     return Surroundings(_scene(), _truth(), tagged, ("cart",), np.array([0, 1]), DURATION, ClearSight(), root=17, trial=trial)
 
 
-def with_a_far_tag_first(around: Surroundings) -> Surroundings:
-    """The same with one more tag, a hundred kilometres up, put before all others."""
+def with_a_tag_first(around: Surroundings, position: Array) -> Surroundings:
+    """The same with one more tag, at rest at `position` (3,), put before all others."""
     tags, tagged = around.tagged.tags, around.tagged
-    stranger = Tags(id=np.array(["far away"]), gain=tags.gain[:1], sensitivity=tags.sensitivity[:1])
-    pose = np.array([[0.0, 0.0, 1e5, 1.0, 0.0, 0.0, 0.0]])
+    stranger = Tags(id=np.array(["a stranger"]), gain=tags.gain[:1], sensitivity=tags.sensitivity[:1])
+    pose = np.concatenate([position, [1.0, 0.0, 0.0, 0.0]])[None]
     more = Tagged(Tags.concatenate([stranger, tags]), np.append(WORLD, tagged.body), np.concatenate([pose, tagged.pose]))
     return replace(around, tagged=more, target_tags=around.target_tags + 1)
 
