@@ -63,17 +63,16 @@ class Keep:
 def predict_size(scenario: Scenario, keep: Keep) -> int:
     """About how many bytes the recordings kept will take, from the scenario alone. Failed trials are not counted.
 
-    Truth and tracks are counted as float64 arrays that hardly shrink; reads at 400 a second and RFID sensor, 40 bytes each;
-    the scene at 100 bytes a box of 500 boxes. Good to a factor of about three.
+    Truth and tracks are float64 arrays that shrink to about half. Assumed: 200 reads a second and sensor, 20 of them of each
+    target, 150 kB for the scene, the site and the heads of 30 small files. Good to a factor of about three.
     """
     trials = scenario.trials
     kept = min(len(keep.chosen(trials)) + (0 if keep.all else keep.worst), trials)
     movers = sum(actor.moves for actor in scenario.actors)
     targets = max(1, sum(len(actor.tags) for actor in scenario.actors if actor.moves) or movers)
     n = len(POSITION_VELOCITY)
-    truth = scenario.duration_s * scenario.truth_hz * movers * (7 * 8 + 6)
-    reports = scenario.duration_s * scenario.report_hz * targets * (n + n * n) * 8
-    reads = scenario.duration_s * 400 * len(scenario.sensors)
-    updates = reads * 32  # innovations, and most reads make one
-    one = truth + reads * 40 + len(scenario.estimators) * (reports + updates) + 500 * 100 + 60_000
-    return int(one * kept * len(scenario.points()))
+    truth = scenario.truth_hz * movers * (7 * 8 + 6) / 2
+    track = scenario.report_hz * targets * (n + n * n) * 8 / 2 + 20 * targets * 32
+    stream = 200 * 40
+    per_second = truth + len(scenario.estimators) * track + len(scenario.sensors) * stream
+    return int((150_000 + scenario.duration_s * per_second) * kept * len(scenario.points()))

@@ -104,7 +104,7 @@ def results(blocks: Sequence[Block], run_block: RunBlock, jobs: int, executors: 
     """
     if jobs == 1 and executors is None:
         return _here(blocks, run_block)
-    return _Pool(run_block, jobs, executors or Workers).results(blocks)
+    return _Pool(run_block, max(1, min(jobs, len(blocks))), executors or Workers).results(blocks)
 
 
 def _here(blocks: Sequence[Block], run_block: RunBlock) -> Results:

@@ -51,7 +51,7 @@ class Lines:
         self._done += trials
         self._failures += failures
         now = monotonic()
-        if self._done >= self._next and now - self._said >= self._every:
+        if self._next <= self._done < self._total and now - self._said >= self._every:
             self._said, self._next = now, self._done + max(self._total // 10, 1)
             pace = (now - self._begun) / max(self._done - self._before, 1)
             self.note(f"{self._title}: {self._count()}, about {_span(pace * (self._total - self._done))} left")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from batch_fakes import figures, scenario, work
 
-from testbed import pool
+from testbed import manifest, pool
 from testbed.batch import run
 from testbed.scenario import ScenarioError
 from testbed.store import read_rows
@@ -24,15 +24,22 @@ import sys
 sys.path.insert(0, {fakes!r})
 from pathlib import Path
 from batch_fakes import scenario, work
+from testbed import manifest
 from testbed.batch import Interrupted, run
 
+manifest._digest = lambda packages: "-"
 if {guard}:
     try:
-        run(scenario(trials=24), out=Path({out!r}), jobs={jobs}, work=work)
+        run(scenario(trials={trials}), out=Path({out!r}), jobs={jobs}, work=work)
     except Interrupted as stopped:
         print(stopped, file=sys.stderr)
         sys.exit(130)
 """
+
+
+@pytest.fixture(autouse=True)
+def _code_stands_still(monkeypatch):
+    monkeypatch.setattr(manifest, "_digest", lambda packages: "-")  # these tests may run while somebody edits it
 
 
 def same(a, b):
@@ -41,10 +48,10 @@ def same(a, b):
         np.testing.assert_array_equal(a[name], b[name])
 
 
-def program(tmp_path, seconds=0.15, jobs=2, guard="__name__ == '__main__'"):
-    """A program that runs 24 trials in a process group of its own."""
+def program(tmp_path, seconds=0.4, jobs=2, trials=24, guard="__name__ == '__main__'"):
+    """A program that runs fake trials in a process group of its own."""
     path = tmp_path / "program.py"
-    path.write_text(PROGRAM.format(fakes=FAKES, out=str(tmp_path / "out"), jobs=jobs, guard=guard))
+    path.write_text(PROGRAM.format(fakes=FAKES, out=str(tmp_path / "out"), jobs=jobs, guard=guard, trials=trials))
     environment = {**os.environ, "FAKE_SECONDS": str(seconds)}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     return subprocess.Popen([sys.executable, str(path)], env=environment, start_new_session=True, **pipes)
@@ -149,7 +156,7 @@ def test_ctrl_c_keeps_what_is_done_and_ends_the_workers(tmp_path):
 
 
 def test_a_program_without_a_main_guard_is_told_so(tmp_path):
-    _, said = program(tmp_path, seconds=0, guard="True").communicate(timeout=60)
+    _, said = program(tmp_path, seconds=0, trials=4, guard="True").communicate(timeout=60)
     assert "the worker processes can't start; a script that runs with more than one job must do so under" in said
 
 

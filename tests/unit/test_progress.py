@@ -41,7 +41,7 @@ def test_a_fast_run_says_where_it_begins_and_ends(clock):
 
 def test_a_slow_run_speaks_about_every_tenth_and_tells_the_time_left(clock):
     said = lines_of(clock, 100, 6.0)
-    assert len(said) == 2 + 10
+    assert len(said) == 2 + 9
     assert said[5] == "dock: 50 of 100 trials, about 5 min 00 s left"
     assert said[-1] == "dock: 100 of 100 trials, 10 min 00 s"
 
