@@ -220,7 +220,7 @@ class Client:
         self._p.resetBasePositionAndOrientation(handle.uid, com[:3].tolist(), _xyzw(com[3:]), physicsClientId=self._id)
 
     def refresh(self) -> None:
-        """Bring the ray tree up to date with bodies that were moved: without it rays meet them where they stood before."""
+        """Bring contacts up to date with placed bodies. (Rays follow by themselves in PyBullet 3.2.7; that is promised nowhere.)"""
         self._p.performCollisionDetection(physicsClientId=self._id)
 
     def velocity(self, handle: Handle) -> Array:
