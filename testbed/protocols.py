@@ -187,10 +187,14 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Sensed:
-    """What a sensor made of a trial: streams by kind, and what the world offered as (value, weight) by name."""
+    """What a sensor made of a trial: streams by kind, and what the world offered it, by name.
+
+    shares : (value, weight) of things that are averaged over sensors ("line_of_sight"); rates : of things that add up
+    """
 
     streams: Mapping[str, Table]
-    stimulus: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    shares: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    rates: Mapping[str, float] = field(default_factory=dict)
 
 
 class Sensor(Protocol):

@@ -167,10 +167,15 @@ def _numbered(parts: list[Any]) -> list[Any]:
 
 
 def _stimulus(ids: list[str], sensed: list[Sensed]) -> dict[str, float]:
-    """Each sensor's figures as "<sensor>.<name>", and over all sensors by their weights as "<name>"."""
-    found = {f"{id}.{name}": float(value) for id, s in zip(ids, sensed, strict=True) for name, (value, _) in s.stimulus.items()}
-    for name in dict.fromkeys(name for s in sensed for name in s.stimulus):
-        pairs = [s.stimulus[name] for s in sensed if name in s.stimulus and s.stimulus[name][1] > 0]
+    """Each sensor's figures as "<sensor>.<name>", and of all sensors together as "<name>": shares averaged by weight, rates added."""
+    found: dict[str, float] = {}
+    for id, s in zip(ids, sensed, strict=True):
+        found |= {f"{id}.{name}": float(value) for name, (value, _) in s.shares.items()}
+        found |= {f"{id}.{name}": float(value) for name, value in s.rates.items()}
+    for name in dict.fromkeys(name for s in sensed for name in s.shares):
+        pairs = [s.shares[name] for s in sensed if name in s.shares and s.shares[name][1] > 0]
         weight = sum(w for _, w in pairs)
         found[name] = float(sum(v * w for v, w in pairs) / weight) if weight else float("nan")
+    for name in dict.fromkeys(name for s in sensed for name in s.rates):
+        found[name] = float(sum(s.rates.get(name, 0.0) for s in sensed))
     return found

@@ -88,7 +88,7 @@ def _streams_are_sound(case: _Case) -> None:
         case.require((start >= 0).all() and (start <= duration + 1e-9).all(), f"{kind} lie outside of the trial")
         case.require((table.t_arrival >= table.t - 1e-12).all(), f"{kind} arrive before they happen")
     case.require(any(len(s) for s in sensed.streams.values()), "sensed nothing at all")
-    finite = all(np.isfinite(v).all() and w >= 0 for v, w in sensed.stimulus.values() if w)
+    finite = all(np.isfinite(v) and w >= 0 for v, w in sensed.shares.values() if w) and all(np.isfinite(v) for v in sensed.rates.values())
     case.require(finite, "a stimulus that has weight is not finite")
 
 

@@ -99,7 +99,7 @@ class _Trial:
         streams = {"reads": reads.take(order), "rounds": self._rounds(dwells), "counts": self._counts(reads, dwell)}
         wanted = np.isin(reads.tag, self._around.target_tags).sum()
         seconds = max(self._around.duration, 1e-9)
-        return Sensed(streams, {"line_of_sight": (clear / seen if seen else np.nan, seen), "target_reads_hz": (wanted / seconds, 1.0)})
+        return Sensed(streams, {"line_of_sight": (clear / seen if seen else np.nan, seen)}, {"target_reads_hz": float(wanted / seconds)})
 
     def _chunk(self, dwells: Schedule, k: Array) -> tuple[Reads, Array, int, int]:
         """Reads of the dwells k and the dwell of each; how many target links were in reach, and how many of them were clear."""

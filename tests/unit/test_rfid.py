@@ -93,7 +93,7 @@ def test_reads_stop_where_the_wall_begins():
     opaque = sensed(caster=Wall(loss=40.0, x=3.0))
     assert opaque.streams["reads"].t.max() < 2.0  # the tag passes x = 3 m at t = 2 s
     assert opaque.streams["reads"].t.max() > 1.9
-    assert opaque.stimulus["line_of_sight"][0] == pytest.approx(0.5, abs=0.02)
+    assert opaque.shares["line_of_sight"][0] == pytest.approx(0.5, abs=0.02)
 
 
 def test_a_thin_wall_costs_twice_its_decibels():
@@ -159,7 +159,7 @@ def test_the_chunk_size_changes_nothing(monkeypatch):
     cut = sensed(config, tags=tags)
     for kind in whole.streams:
         assert whole.streams[kind].equals(cut.streams[kind]), kind
-    assert whole.stimulus == cut.stimulus
+    assert whole.shares == cut.shares
 
 
 def test_trials_differ_and_repeat():
