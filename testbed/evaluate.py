@@ -161,11 +161,15 @@ def plain(value: float) -> float | None:
 
 def summarise(rows: Rows) -> list[Summary]:
     """A summary of each (point, estimator) that has rows: points ascending, estimators in the order of their first row."""
+    order = np.argsort(rows["point"], kind="stable")
+    ordered = {name: column[order] for name, column in rows.items()}
+    points, first = np.unique(ordered["point"], return_index=True)
     summaries = []
-    for point in np.unique(rows["point"]):
-        here = rows["point"] == point
-        for estimator in dict.fromkeys(rows["estimator"][here].tolist()):
-            summaries.append(_summary({k: v[here & (rows["estimator"] == estimator)] for k, v in rows.items()}, int(point), estimator))
+    for point, a, b in zip(points, first, np.append(first, len(order))[1:], strict=True):
+        here = {name: column[a:b] for name, column in ordered.items()}
+        for estimator in dict.fromkeys(here["estimator"].tolist()):
+            mine = here["estimator"] == estimator
+            summaries.append(_summary({name: column[mine] for name, column in here.items()}, int(point), estimator))
     return summaries
 
 

@@ -103,17 +103,24 @@ def squared_mahalanobis(error: Array, covariance: Array) -> Array:
     is left, given those before it, counts as singular.
     """
     d = error.shape[-1]
-    variance = np.diagonal(covariance, axis1=-2, axis2=-1)
-    scale = np.sqrt(np.where(variance > 0, variance, np.nan))
-    correlation = covariance / (scale[..., :, None] * scale[..., None, :])
-    white = error / scale
-    factor = np.zeros(correlation.shape)
+    # component by component, each one contiguous array over all leading axes; a NaN (of a variance that is not positive, of a
+    # correlation beyond 1) goes through to the total
+    p = np.ascontiguousarray(np.moveaxis(covariance, (-2, -1), (0, 1)))
+    scale = [np.sqrt(np.where(p[j, j] > 0, p[j, j], np.nan)) for j in range(d)]
+    white = [error[..., j] / scale[j] for j in range(d)]
+    factor: list[list[Array]] = [[] for _ in range(d)]  # lower triangle, row by row
+    total = np.zeros(error.shape[:-1])
     for j in range(d):
-        row = factor[..., j, :j]
-        left = correlation[..., j, j] - (row * row).sum(axis=-1)
-        pivot = np.sqrt(np.where(left > 1e-12, left, np.nan))
-        factor[..., j, j] = pivot
-        for i in range(j + 1, d):
-            factor[..., i, j] = (correlation[..., i, j] - (factor[..., i, :j] * row).sum(axis=-1)) / pivot
-        white[..., j] = (white[..., j] - (row * white[..., :j]).sum(axis=-1)) / pivot
-    return (white * white).sum(axis=-1)
+        for k in range(j):
+            left = p[j, k] / (scale[j] * scale[k])
+            for m in range(k):
+                left = left - factor[j][m] * factor[k][m]
+            factor[j].append(left / factor[k][k])
+        left = np.ones_like(total)
+        for k in range(j):
+            left = left - factor[j][k] * factor[j][k]
+            white[j] = white[j] - factor[j][k] * white[k]
+        factor[j].append(np.sqrt(np.where(left > 1e-12, left, np.nan)))
+        white[j] = white[j] / factor[j][j]
+        total = total + white[j] * white[j]
+    return total
