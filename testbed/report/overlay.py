@@ -31,7 +31,9 @@ def visible(image: Image, points: Array) -> Array:
 
     A point is hidden if it lies behind all the nine pixels round it by more than SKIN, so a line along a surface is not.
     """
-    return _Sight(image).visible(*image.camera.project(points))
+    pixels, depth = image.camera.project(points)
+    sight = _Sight(image)
+    return sight.inside(pixels) & ~sight.hidden(pixels, depth)
 
 
 class _Sight:
@@ -41,15 +43,23 @@ class _Sight:
         self.camera = image.camera
         self._farthest = cv2.dilate(image.depth, np.ones((3, 3), dtype=np.uint8))
 
-    def visible(self, pixels: Array, depth: Array) -> Array:
-        height, width = self._farthest.shape
+    def inside(self, pixels: Array) -> Array:
+        """(N,) bool: pixels (N, 2) that the picture has."""
+        u, v = self._nearest(pixels)
+        return (u >= 0) & (u < self.camera.width) & (v >= 0) & (v < self.camera.height)
+
+    def hidden(self, pixels: Array, depth: Array) -> Array:
+        """(N,) bool: inside the picture and behind something."""
+        inside = self.inside(pixels)
+        u, v = self._nearest(pixels[inside])
+        behind = np.zeros(len(pixels), dtype=bool)
+        behind[inside] = depth[inside] > self._farthest[v, u] + SKIN
+        return behind
+
+    def _nearest(self, pixels: Array) -> Array:
         near = np.full(pixels.shape, -1)
         np.copyto(near, np.round(pixels), where=_drawable(pixels)[:, None], casting="unsafe")
-        u, v = near.T
-        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-        seen = np.zeros(len(pixels), dtype=bool)
-        seen[inside] = depth[inside] <= self._farthest[v[inside], u[inside]] + SKIN
-        return seen
+        return near.T
 
 
 def _drawable(pixels: Array) -> Array:
@@ -95,7 +105,7 @@ class _Piece:
         self.rgb, self.width = palette.rgb(colour), width
         self.pixels, depth = sight.camera.project(_dense(sight.camera, points))
         self.drawn = _drawable(self.pixels)
-        self.seen = sight.visible(self.pixels, depth)
+        self.seen = ~sight.hidden(self.pixels, depth)  # beyond the rim, too: lines run up to it
 
     def runs(self, seen: bool) -> list[Array]:
         """The parts that can be seen, or the dashes of those that can't, as OpenCV's whole numbers (n, 1, 2)."""
@@ -167,9 +177,9 @@ def _hidden(rgb: Array, pieces: Sequence[_Piece]) -> Array:
 
 def _marker(rgb: Array, sight: _Sight, trace: Trace, t: float) -> None:
     """A dot on the trace at time t, a ring where it is hidden, and a plumb line to the floor."""
-    point = trace.points[_at(trace, t)]
-    if not np.isfinite(point).all():
+    if not len(trace.t) or not np.isfinite(trace.points[_at(trace, t)]).all():
         return
+    point = trace.points[_at(trace, t)]
     foot = np.array([point[0], point[1], min(0.0, point[2])])
     plumb = _Piece(sight, np.stack([point, foot]), trace.colour, 1)
     for run in plumb.runs(True) + plumb.runs(False):
@@ -179,7 +189,7 @@ def _marker(rgb: Array, sight: _Sight, trace: Trace, t: float) -> None:
         return
     centre = tuple(int(c) for c in np.round(pixels[0] * 2**_SHIFT))
     size = (6 if trace.name == TRUTH else 5) * 2**_SHIFT
-    seen = bool(sight.visible(pixels, depth)[0])
+    seen = not sight.hidden(pixels, depth)[0]
     cv2.circle(rgb, centre, size + 2**_SHIFT, (255, 255, 255), -1 if seen else 3, cv2.LINE_AA, _SHIFT)
     cv2.circle(rgb, centre, size, plumb.rgb, -1 if seen else 1, cv2.LINE_AA, _SHIFT)
 
