@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from testbed.check import check_estimator as check_estimator
     from testbed.check import check_sensor as check_sensor
     from testbed.check import check_world as check_world
+    from testbed.expectations import check_scenario as check_scenario
     from testbed.scenario import Scenario as Scenario
     from testbed.scenario import ScenarioError as ScenarioError
     from testbed.scenario import from_dict as from_dict
@@ -29,6 +30,7 @@ _HOMES = {
     "check_estimator": "testbed.check",
     "check_sensor": "testbed.check",
     "check_world": "testbed.check",
+    "check_scenario": "testbed.expectations",
     "Scenario": "testbed.scenario",
     "ScenarioError": "testbed.scenario",
     "from_dict": "testbed.scenario",

@@ -52,6 +52,10 @@ class ScenarioError(ValueError):
         return "\n".join(str(problem) for problem in self.problems)
 
 
+class DataMissing(ScenarioError):
+    """A scenario that is right, but needs data that are not on this machine. A test of it is skipped, with this message."""
+
+
 def refuse(path: str, message: str, line: int | None = None, column: int | None = None, where: str = "") -> ScenarioError:
     """An error of one problem."""
     return ScenarioError([Problem(path, line, column, where, message)])
