@@ -102,10 +102,7 @@ def read(path: Path) -> Columns:
 
 
 def write_table(table: pa.Table, target: Path | pa.NativeFile) -> None:
-    """One Arrow table as Parquet, so that its values come back bit for bit.
-
-    Only text is dictionary-encoded: in a dictionary of floats all NaN would become one.
-    """
+    """One Arrow table as Parquet. Only text is dictionary-encoded: measured figures seldom repeat."""
     text: Any = [f.name for f in table.schema if pa.types.is_string(f.type)]
     pq.write_table(table, target, compression="zstd", use_dictionary=text or False, store_schema=True)
 

@@ -307,6 +307,9 @@ def test_the_worst_are_known_at_the_end_and_made_again(tmp_path):
     error = {t: figures(3, 0, t, "ekf")["position_error_m.mean"].mean() for t in range(10)}
     assert recorded(tmp_path / "a") == sorted(sorted(error, key=lambda t: -error[t])[:3])
     same(result.rows, study(None).rows)
+    noted = []
+    run(scenario(), out=tmp_path / "a", keep="worst:3", resume=True, work=lambda block: noted.append(block) or work(block))
+    assert not noted
 
 
 def test_a_recording_that_has_gone_is_made_again_and_one_that_cannot_be_is_not_waited_for(tmp_path):

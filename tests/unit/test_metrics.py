@@ -189,6 +189,12 @@ def test_singular_covariances_are_counted_and_left_out():
     assert (found["nees.mean"][0], found["nees.times"][0], found["nees.singular"][0]) == (1.0, 1.0, 1.0)
 
 
+def test_a_row_that_calls_itself_lost_is_not_judged():
+    mean, truth = along_x([1.0, 30.0])
+    found = computed(Consistency, track(mean, status=[[Status.OK], [Status.LOST]]), truth)
+    assert (found["nees.mean"][0], found["nees.times"][0], found["nees.singular"][0]) == (1.0, 1.0, 0.0)
+
+
 def test_nis_is_pooled_over_degrees_of_freedom_row_by_row():
     said = Innovations(
         row=[0, 0, 0, 1, 0],
