@@ -246,4 +246,5 @@ def edges(depth: Array, angle: float) -> Array:
     """
     inverse = (1.0 / depth).astype(np.float32)  # the background is 0
     bent = np.abs(cv2.Laplacian(inverse, cv2.CV_32F)) / (np.maximum(inverse, 1e-4) * np.float32(angle))
+    bent[[0, -1]] = bent[:, [0, -1]] = 0.0  # beyond the rim nothing is known
     return 1.0 - np.clip(EDGE_GAIN * (bent - 0.15), 0.0, EDGE_DARKNESS).astype(np.float32)

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from testbed.columns import Array
-from testbed.protocols import Renderer
+from testbed.plugins import load
+from testbed.protocols import Renderer, Renders
 from testbed.recording import Trial
 from testbed.report.cameras import CameraSpec, moments
 from testbed.report.placing import Placed, place
 from testbed.scene import Scene
 from testbed.view import Image
+
+if TYPE_CHECKING:
+    from testbed.scenario import Scenario
 
 FOLDER = "cameras"  # in the folder of a trial
 
@@ -34,6 +40,21 @@ class Shot:
     def name(self) -> str:
         """ "overview-start": unique among the shots of a trial, and fit for a file's name."""
         return re.sub(r"[^A-Za-z0-9_.-]", "_", f"{self.camera}-{self.moment}")
+
+
+@contextmanager
+def renderer_of(scenario: Scenario, scene: Scene) -> Iterator[Renderer | None]:
+    """What draws the scene of a scenario's recording (`testbed.archive.load_scene`); None where its world can't show itself.
+
+    Needs no simulation. Raises ImportError, saying what to install, where nothing can be drawn on this machine.
+    """
+    world = load("worlds", scenario.world.kind)(scenario.world.config)
+    with closing(world):
+        if not isinstance(world, Renders):
+            yield None
+            return
+        with closing(world.renderer(scene)) as renderer:
+            yield renderer
 
 
 def take(trial: Trial, renderer: Renderer, placed: Placed, t: float, smooth: int = 2) -> Image:
