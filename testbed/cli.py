@@ -133,12 +133,17 @@ def run(
     """Run scenarios: simulate their trials, run every estimator on them, score, judge what the scenario expects."""
     from testbed import batch
     from testbed.api import scenario_of
+    from testbed.keep import Keep
     from testbed.progress import choose
 
     if resume and out is None:
         raise typer.Exit(_complain("--resume needs --out, the folder of the run to go on with"))
     if jobs != "auto" and not (jobs.isdecimal() and int(jobs) > 0):
         raise typer.Exit(_complain(f"--jobs takes a number from 1, or auto, not {jobs!r}"))
+    try:
+        Keep.parse(keep)
+    except ValueError as error:
+        raise typer.Exit(_complain(f"--keep: {error}")) from None
     loaded = [scenario_of(n, trials=trials, seed=seed, estimators=estimator or (), sets=sets or ()) for n in scenarios]
     results = []
     for scenario in loaded:
@@ -181,12 +186,15 @@ def rerun(
     """Make one trial of a run again from its manifest, and show its figures, or the traceback of what crashed."""
     from testbed import batch
 
-    again = batch.rerun(folder, point, trial, into=into)
+    try:
+        again = batch.rerun(folder, point, trial, into=into)
+    except ValueError as error:  # no such point or trial
+        raise typer.Exit(_complain(str(error))) from None
     if again.changed:
         print(f"note: {again.changed}; the figures may differ from the run's own", file=sys.stderr)  # noqa: T201
     for failure in again.failures:
         print(failure.traceback, file=sys.stderr)  # noqa: T201
-    figures = {name: [plain(v) for v in column.tolist()] for name, column in again.rows.items()}
+    figures = {name: [plain(v) if isinstance(v, float) else v for v in column.tolist()] for name, column in again.rows.items()}
     if as_json:
         _print_json({"point": point, "trial": trial, "rows": figures})
     else:

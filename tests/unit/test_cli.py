@@ -65,7 +65,7 @@ def test_a_second_run_takes_a_folder_of_its_own_and_out_is_not_overwritten(quick
 def test_an_expectation_that_does_not_hold_is_exit_1_with_its_line(quick, tmp_path):
     quick.write_text(quick.read_text() + "expect:\n  centroid: {position_error_m: {mean: {max: 0.001}}}\n")
     done = command("run", quick, "--jobs", "1", cwd=tmp_path, code=1)
-    assert "quick.yaml:12: centroid.position_error_m.mean <= 0.001: got" in done.stdout
+    assert "quick.yaml:14: centroid.position_error_m.mean <= 0.001: got" in done.stdout
 
 
 def test_a_crashed_trial_is_exit_3_and_the_rest_is_kept(quick, tmp_path):
@@ -95,6 +95,7 @@ def test_a_crashed_trial_is_exit_3_and_the_rest_is_kept(quick, tmp_path):
         (("run", "quick.yaml", "--estimator", "centroit"), "did you mean centroid"),
         (("run", "quick.yaml", "--trials", "1000000000"), "trials"),
         (("replay", "nowhere"), "no output folder"),
+        (("rerun", "nowhere", "--trial", "1"), "nowhere"),
         (("plugins", "estimator"), "did you mean estimators"),
         (("rnu",), "No such command"),
         (("init", "quick.yaml"), "is there already"),
