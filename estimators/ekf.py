@@ -9,8 +9,8 @@ import numpy as np
 from estimators import kalman
 from estimators.belief import Belief, StatusConfig
 from estimators.motion import ConstantVelocity, MotionConfig
-from estimators.rssi_model import ReadVariance, RssiConfig, RssiModel
-from testbed.types import Array, Estimate, Event, Prior, RowRandom, Site, UpdateInfo
+from estimators.rssi_model import ReadVariance, RssiConfig, RssiModel, measured
+from testbed.types import Array, Estimate, Event, Prior, Reads, RowRandom, Site, UpdateInfo
 
 
 class EkfConfig(RssiConfig, MotionConfig, StatusConfig):
@@ -42,6 +42,8 @@ class Ekf:
     def start(self, prior: Prior) -> None:
         self._belief = Belief(prior, self._motion, self._config)
         self._variance = ReadVariance(self._config, prior.rows, self._antennas)
+        self.predict(prior.t)
+        self.update(Event("reads", np.empty(0, dtype=np.int64), Reads.empty()))  # kernels are compiled here, not in the first update
 
     def predict(self, t: Array) -> None:
         self._belief.predict(t)
@@ -56,7 +58,7 @@ class Ekf:
             variance = variance + curvature_noise(hessian, belief.covariance[row, :3, :3])
         jacobian = np.zeros((len(row), 1, 6))
         jacobian[:, 0, :3] = gradient
-        innovation = (reads.rssi - expected)[:, None]
+        innovation = (measured(reads.rssi) - expected)[:, None]
         info = kalman.extended_update(belief.mean, belief.covariance, row, innovation, jacobian, variance[:, None, None], self._limits)
         belief.heard(row, info.used)
         self._variance.took(row[info.used], reads.antenna[info.used], reads.t[info.used])

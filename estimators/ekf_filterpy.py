@@ -12,7 +12,7 @@ from estimators import kalman
 from estimators.belief import status_of
 from estimators.ekf import EkfConfig, curvature_noise
 from estimators.motion import ConstantVelocity
-from estimators.rssi_model import RssiModel
+from estimators.rssi_model import LIMITS_DBM, RssiModel
 from testbed.protocols import SingleTarget
 from testbed.types import POSITION_VELOCITY, Array, Site, Status
 
@@ -44,7 +44,7 @@ class EkfFilterpy(SingleTarget):
         self._time = t
 
     def update(self, kind: str, data: Any) -> tuple[bool, float, float, int]:
-        if not math.isfinite(data.rssi):
+        if not LIMITS_DBM[0] <= data.rssi <= LIMITS_DBM[1]:  # nor is NaN
             return False, math.nan, math.nan, 0
         one, link = self._filter, self._model.link(data.antenna, data.tag)
         variance = read_variance(self.config, data.t - self._last.get(data.antenna, -math.inf))

@@ -26,6 +26,7 @@ from testbed.quantity import Config, DecibelMilliwatts, Decibels, Metres, Second
 from testbed.types import Array, Site
 from testbed.units import SPEED_OF_LIGHT, from_db
 
+LIMITS_DBM = (-200.0, 100.0)  # no reader reports anything beyond: it is a fault, not a measurement
 NEPER_DB = 10 / math.log(10)  # dB per unit of the natural logarithm of a power
 
 
@@ -44,6 +45,12 @@ class RssiConfig(Config):
     polarisation_loss_db: Annotated[Decibels, Field(ge=0, le=40)] = 3.0
     use_pattern: bool = True
     near_m: Annotated[Metres, Field(ge=0.01, le=1)] = 0.1
+
+
+def measured(rssi: Array) -> Array:
+    """RSSI with NaN, which no filter uses, in place of what can't be one."""
+    with np.errstate(invalid="ignore"):
+        return np.where((rssi >= LIMITS_DBM[0]) & (rssi <= LIMITS_DBM[1]), rssi, np.nan)
 
 
 def fixed_antennas(site: Site, method: str) -> None:
@@ -94,7 +101,7 @@ class RssiModel:
 
     def _evaluate(self, position: Array, antenna: Array, tag: Array, gradient: Array) -> Array:
         """`expected`; fills `gradient` unless it is empty."""
-        points = position.reshape(len(antenna), -1, 3)
+        points = np.ascontiguousarray(position).reshape(len(antenna), math.prod(position.shape[1:-1]), 3)
         level = np.empty(points.shape[:2])
         _budget(
             points, antenna, self._level[antenna, tag], self._position, self._boresight, self._power, self._floor, self._slope, self._near2,

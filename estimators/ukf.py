@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar
 
+import numpy as np
 from pydantic import Field
 
 from estimators import kalman
 from estimators.belief import Belief, StatusConfig
 from estimators.motion import ConstantVelocity, MotionConfig
-from estimators.rssi_model import ReadVariance, RssiConfig, RssiModel
-from testbed.types import Array, Estimate, Event, Prior, RowRandom, Site, UpdateInfo
+from estimators.rssi_model import ReadVariance, RssiConfig, RssiModel, measured
+from testbed.types import Array, Estimate, Event, Prior, Reads, RowRandom, Site, UpdateInfo
 
 
 class UkfConfig(RssiConfig, MotionConfig, StatusConfig):
@@ -43,6 +44,8 @@ class Ukf:
     def start(self, prior: Prior) -> None:
         self._belief = Belief(prior, self._motion, self._config)
         self._variance = ReadVariance(self._config, prior.rows, self._antennas)
+        self.predict(prior.t)
+        self.update(Event("reads", np.empty(0, dtype=np.int64), Reads.empty()))  # kernels are compiled here, not in the first update
 
     def predict(self, t: Array) -> None:
         self._belief.predict(t)
@@ -50,7 +53,7 @@ class Ukf:
     def update(self, event: Event) -> UpdateInfo:
         row, reads, belief = event.row, event.data, self._belief
         points = kalman.sigma_points(belief.mean, belief.covariance, row, self._weights)
-        innovation = (reads.rssi[:, None] - self._model.expected(points[..., :3], reads.antenna, reads.tag))[..., None]
+        innovation = (measured(reads.rssi)[:, None] - self._model.expected(points[..., :3], reads.antenna, reads.tag))[..., None]
         noise = self._variance.of(row, reads.antenna, reads.t)[:, None, None]
         info = kalman.unscented_update(belief.mean, belief.covariance, row, points, innovation, noise, self._weights, self._limits)
         belief.heard(row, info.used)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from estimators.rssi_model import measured
 from testbed.types import Array, Event
 
 
@@ -26,7 +27,7 @@ class Newest:
         at: tuple[Array, ...] = (event.row, reads.antenna)
         if self._tags is not None:
             at = (event.row, self._order[np.searchsorted(self._tags, reads.tag, sorter=self._order)], reads.antenna)
-        heard = np.isfinite(reads.rssi)
+        heard = np.isfinite(measured(reads.rssi))
         newer = heard & (reads.t >= self._time[at])
         at = tuple(a[newer] for a in at)
         self._value[at], self._time[at] = reads.rssi[newer], reads.t[newer]
