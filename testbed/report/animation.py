@@ -24,6 +24,7 @@ from testbed.report.traces import Trace
 from testbed.scene import Scene
 
 FRAMES, FRAME_S, SIZE = 50, 0.1, (480, 360)  # s; px
+LIMIT, QUALITIES = 400_000, (70, 45, 25)  # bytes; of WebP, in the order they are tried
 LAST_S = 1.0  # how long the last frame stands before it begins again
 
 
@@ -35,9 +36,9 @@ def animate(
     traces: Sequence[Trace],
     frames: int = FRAMES,
     size: tuple[int, int] = SIZE,
-    quality: int = 70,
+    limit: int = LIMIT,
 ) -> bytes:
-    """The whole trial in `frames` pictures of `size` (width, height) px, FRAME_S s each, as an animated WebP.
+    """The whole trial in `frames` pictures of `size` (width, height) px, FRAME_S s each, as an animated WebP of about `limit` bytes at most.
 
     A camera that stands still takes its pictures several times faster than one that moves, which gets by without smoothing.
     ValueError for fewer than 2 frames or more than 300.
@@ -49,10 +50,22 @@ def animate(
         if placed is None or spec.body is not None:
             placed = place(spec, scene, trial.truth, t, size)
         pictures.append(draw(take(trial, renderer, placed, t, smooth=2 if spec.body is None else 1), traces, now=t, until=t))
-    return encode(pictures, FRAME_S, quality)
+    return bounded(pictures, limit)
 
 
-def encode(pictures: Sequence[Array], frame_s: float, quality: int = 70) -> bytes:
+def bounded(pictures: Sequence[Array], limit: int) -> bytes:
+    """The pictures, FRAME_S s each, in the best quality that fits into `limit` bytes; if none does, every other picture, twice as long."""
+    data, every = b"", 1
+    while every == 1 or len(pictures[::every]) >= 8:
+        for quality in QUALITIES:
+            data = encode(pictures[::every], every * FRAME_S, quality)
+            if len(data) <= limit:
+                return data
+        every *= 2
+    return data
+
+
+def encode(pictures: Sequence[Array], frame_s: float, quality: int) -> bytes:
     """Pictures (H, W, 3) uint8 as an animated WebP that runs for ever, `frame_s` s each and LAST_S the last."""
     animation = cv2.Animation()
     animation.frames = [cv2.cvtColor(p, cv2.COLOR_RGB2BGRA) for p in pictures]

@@ -202,12 +202,27 @@ def test_an_animation_shows_the_whole_trial_in_the_frames_asked_for():
     inked = [(np.abs(f[:120].astype(int) - GREY).max(axis=2) > 60).sum() for f in (first, last)]
     assert inked[1] > inked[0] + 100  # the track has grown
     assert [p[0, 1] for p in wall.poses] == pytest.approx(2 - np.linspace(0, 4, 9))
-    durations = []
-    for k in range(9):
+    assert _durations(moving) == [100] * 8 + [1000]
+
+
+def test_an_animation_too_large_gets_worse_and_then_shorter_but_runs_as_long():
+    rng = np.random.default_rng(1)
+    noise = list(rng.integers(0, 255, (16, 60, 80, 3), dtype=np.uint8))
+    found = {limit: animation.bounded(noise, limit) for limit in (10**6, 40_000, 24_000)}
+    assert all(len(data) <= limit for limit, data in found.items())
+    opened = [Pillow.open(io.BytesIO(data)) for data in found.values()]
+    assert [p.n_frames for p in opened] == [16, 16, 8]
+    assert [_durations(p)[0] for p in opened] == [100, 100, 200]
+    assert len(animation.bounded(noise, 10)) > 0  # as small as it gets
+
+
+def _durations(moving):
+    found = []
+    for k in range(moving.n_frames):
         moving.seek(k)
         moving.load()
-        durations.append(moving.info["duration"])
-    assert durations == [100] * 8 + [1000]
+        found.append(moving.info["duration"])
+    return found
 
 
 def _frame(moving, k):
