@@ -38,7 +38,7 @@ def animate(
     size: tuple[int, int] = SIZE,
     limit: int = LIMIT,
 ) -> bytes:
-    """The whole trial in `frames` pictures of `size` (width, height) px, FRAME_S s each, as an animated WebP of about `limit` bytes at most.
+    """The whole trial in `frames` pictures of `size` (width, height) px, FRAME_S s each: an animated WebP of `limit` bytes at most.
 
     A camera that stands still takes its pictures several times faster than one that moves, which gets by without smoothing.
     ValueError for fewer than 2 frames or more than 300.
