@@ -38,7 +38,7 @@ def animate(
     size: tuple[int, int] = SIZE,
     limit: int = LIMIT,
 ) -> bytes:
-    """The whole trial in `frames` pictures of `size` (width, height) px, FRAME_S s each: an animated WebP of `limit` bytes at most.
+    """The whole trial in `frames` pictures of `size` (width, height) px, FRAME_S s each: an animated WebP (see `bounded`).
 
     A camera that stands still takes its pictures several times faster than one that moves, which gets by without smoothing.
     ValueError for fewer than 2 frames or more than 300.
@@ -54,7 +54,10 @@ def animate(
 
 
 def bounded(pictures: Sequence[Array], limit: int) -> bytes:
-    """The pictures, FRAME_S s each, in the best quality that fits into `limit` bytes; if none does, every other picture, twice as long."""
+    """The pictures, FRAME_S s each, in the best quality that fits into `limit` bytes; if none does, every other picture, twice as long.
+
+    The smallest there is where nothing fits, from 8 pictures on.
+    """
     data, every = b"", 1
     while every == 1 or len(pictures[::every]) >= 8:
         for quality in QUALITIES:
