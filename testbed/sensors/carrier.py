@@ -2,33 +2,55 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from testbed import frames
 from testbed.columns import Array
 from testbed.plugins import suggest
 from testbed.protocols import Surroundings
+from testbed.quantity import Config, Hertz, Seconds
 from testbed.scene import Scene, Truth
+from testbed.types import Antennas
 from testbed.units import wrap
 
 
-@dataclass(frozen=True)
+class CarriedConfig(Config):
+    """Which body carries it, how often it samples, and how late its samples arrive."""
+
+    on: str
+    rate_hz: Annotated[Hertz, Field(gt=0, le=1000)] = 10.0
+    latency_s: Annotated[Seconds, Field(ge=0, le=60)] = 0.0
+
+
 class Carried:
-    """A moving body by name, found in the scene when the sensor is made. ValueError where it is not there or never moves."""
+    """Base of a sensor without a radio that rides on a moving body. ValueError where the body is not there or never moves."""
 
-    body: str
+    def __init__(self, config: Any, id: str, scene: Scene) -> None:
+        if config.on not in scene.moving_names:
+            raise ValueError(f"on: no moving body is named {config.on!r}{suggest(config.on, list(scene.moving_names))}")
+        self._config, self._name = config, f"sensors.{id}"
 
-    @classmethod
-    def by(cls, scene: Scene, name: str) -> Carried:
-        if name not in scene.moving_names:
-            raise ValueError(f"on: no moving body is named {name!r}{suggest(name, list(scene.moving_names))}")
-        return cls(name)
+    def antennas(self) -> Antennas:
+        """None."""
+        return Antennas.empty()
 
-    def target(self, around: Surroundings) -> int:
-        """Index of the first target on this body, -1 where it carries none (its samples then speak of nobody)."""
-        return next((i for i, body in enumerate(around.target_bodies) if body == self.body), -1)
+    def frequencies(self) -> Array:
+        """None."""
+        return np.empty(0)
+
+    def samples(self, around: Surroundings) -> tuple[int, Array, dict[str, Array]]:
+        """The body's index in the truth, the instants (K,) s, and the columns that every such stream begins with.
+
+        The carrier is the first target on the body, -1 where it carries none: the samples then speak of nobody.
+        """
+        config = self._config
+        t = instants(around.duration, config.rate_hz)
+        target = next((i for i, body in enumerate(around.target_bodies) if body == config.on), -1)
+        columns = {"t": t, "t_arrival": t + config.latency_s, "carrier": np.full(len(t), target)}
+        return around.truth.index(config.on), t, columns
 
 
 def instants(duration: float, rate: float) -> Array:

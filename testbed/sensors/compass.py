@@ -15,53 +15,37 @@ from scipy.signal import lfilter
 from testbed import frames
 from testbed.columns import Array
 from testbed.protocols import Sensed, Surroundings
-from testbed.quantity import Config, Degrees, Hertz, Seconds
+from testbed.quantity import Degrees, Seconds
 from testbed.rng import Counter, stream
-from testbed.scene import Scene
-from testbed.sensors.carrier import Carried, instants
-from testbed.types import Antennas, Heading
+from testbed.sensors.carrier import Carried, CarriedConfig
+from testbed.types import Heading
 from testbed.units import wrap
 
 
-class CompassConfig(Config):
+class CompassConfig(CarriedConfig):
     """heading = yaw + bias + wandering error + noise, wrapped into (-π, π]. The bias is drawn once a trial."""
 
-    on: str
-    rate_hz: Annotated[Hertz, Field(gt=0, le=1000)] = 10.0
     bias_std_deg: Annotated[Degrees, Field(ge=0, le=180)] = 2.0
     noise_std_deg: Annotated[Degrees, Field(ge=0, le=180)] = 1.0
     wander_std_deg: Annotated[Degrees, Field(ge=0, le=180)] = 0.0
     wander_time_s: Annotated[Seconds, Field(gt=0, le=3600)] = 5.0
-    latency_s: Annotated[Seconds, Field(ge=0, le=60)] = 0.0
 
 
-class Compass:
+class Compass(Carried):
     """Samples the yaw of one body at a fixed rate."""
 
     Config: ClassVar[type[CompassConfig]] = CompassConfig
     produces: ClassVar[frozenset[str]] = frozenset({"heading"})
 
-    def __init__(self, config: CompassConfig, id: str, scene: Scene) -> None:
-        self._config, self._name, self._carried = config, f"sensors.{id}", Carried.by(scene, config.on)
-
-    def antennas(self) -> Antennas:
-        """None."""
-        return Antennas.empty()
-
-    def frequencies(self) -> Array:
-        """None."""
-        return np.empty(0)
-
     def sense(self, around: Surroundings, first_antenna: int) -> Sensed:
         """The whole trial's samples."""
-        config, truth = self._config, around.truth
-        body, t = truth.index(self._carried.body), instants(around.duration, config.rate_hz)
+        config = self._config
+        body, t, columns = self.samples(around)
         bias = config.bias_std_deg * stream(around.root, around.trial, f"{self._name}.bias").standard_normal()
         noise, sample = Counter(around.root, around.trial, f"{self._name}.noise"), np.arange(len(t))
         error = bias + config.noise_std_deg * noise.normal(0, sample) + self._wander(noise.normal(1, sample))
-        heading = wrap(frames.yaw_of(truth.pose(body, t)[:, 3:]) + np.deg2rad(error))
-        carrier = np.full(len(t), self._carried.target(around))
-        return Sensed({"heading": Heading(t=t, t_arrival=t + config.latency_s, carrier=carrier, heading=heading)})
+        heading = wrap(frames.yaw_of(around.truth.pose(body, t)[:, 3:]) + np.deg2rad(error))
+        return Sensed({"heading": Heading(**columns, heading=heading)})
 
     def _wander(self, drive: Array) -> Array:
         """(K,) deg: the stationary Ornstein-Uhlenbeck process driven by standard normals (K,), exact at the sample times."""
