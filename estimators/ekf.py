@@ -51,11 +51,12 @@ class Ekf:
     def update(self, event: Event) -> UpdateInfo:
         row, reads, belief = event.row, event.data, self._belief
         position = belief.mean[row, :3]
-        expected, gradient = self._model.linearised(position, reads.antenna, reads.tag)
         variance = self._variance.of(row, reads.antenna, reads.t)
         if self._config.curvature_noise:
-            hessian = self._model.curvature(position, reads.antenna, reads.tag)
+            expected, gradient, hessian = self._model.quadratic(position, reads.antenna, reads.tag)
             variance = variance + curvature_noise(hessian, belief.covariance[row, :3, :3])
+        else:
+            expected, gradient = self._model.linearised(position, reads.antenna, reads.tag)
         jacobian = np.zeros((len(row), 1, 6))
         jacobian[:, 0, :3] = gradient
         innovation = (measured(reads.rssi) - expected)[:, None]

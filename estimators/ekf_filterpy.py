@@ -49,7 +49,7 @@ class EkfFilterpy(SingleTarget):
         one, link = self._filter, self._model.link(data.antenna, data.tag)
         variance = read_variance(self.config, data.t - self._last.get(data.antenna, -math.inf))
         if self.config.curvature_noise:
-            hessian = self._model.curvature(one.x[None, :3], np.array([data.antenna]), np.array([data.tag]))
+            *_, hessian = self._model.quadratic(one.x[None, :3], np.array([data.antenna]), np.array([data.tag]))
             variance += float(curvature_noise(hessian, one.P[None, :3, :3])[0])
         x, p = one.x, one.P
         one.update(

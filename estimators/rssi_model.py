@@ -7,7 +7,7 @@ there and back: Friis twice). G(θ) is a cos^p pattern through the half-power be
 knows nothing of obstacles, reflections, or which way the tag is turned: all that is left to `sigma_db`.
 
 Two guards against the singularity at the antenna: d² is taken as |r|² + near², so h and its gradient are smooth and bounded (at 0.5 m
-that is a tenth of a dB); and for the extended filter `curvature` gives what its linearisation leaves out.
+that is a tenth of a dB); and for the extended filter `quadratic` gives what its linearisation leaves out.
 """
 
 from __future__ import annotations
@@ -91,13 +91,12 @@ class RssiModel:
         gradient = np.empty((len(antenna), math.prod(position.shape[1:-1]), 3))
         return self._evaluate(position, antenna, tag, gradient), gradient.reshape(position.shape)
 
-    def curvature(self, position: Array, antenna: Array, tag: Array) -> Array:
-        """(E, 3, 3) dB/m²: the Hessian at positions (E, 3), by central differences of the gradient over a thousandth of the distance."""
-        step = 1e-3 * np.sqrt(((position - self._position[antenna]) ** 2).sum(axis=1) + self._near2)
-        moved = position[:, None] + _SIX_WAYS * step[:, None, None]
-        gradient = self.linearised(moved, antenna, tag)[1]
-        hessian = (gradient[:, :3] - gradient[:, 3:]) / (2 * step)[:, None, None]
-        return (hessian + hessian.transpose(0, 2, 1)) / 2
+    def quadratic(self, position: Array, antenna: Array, tag: Array) -> tuple[Array, Array, Array]:
+        """At positions (E, 3): (E,) dBm, gradient (E, 3) dB/m, and Hessian (E, 3, 3) dB/m² by differences over 1e-4 of the distance."""
+        step = 1e-4 * np.sqrt(((position - self._position[antenna]) ** 2).sum(axis=1) + self._near2)
+        level, gradient = self.linearised(position[:, None] + _CORNER * step[:, None, None], antenna, tag)
+        hessian = (gradient[:, 1:] - gradient[:, :1]) / step[:, None, None]
+        return level[:, 0], gradient[:, 0], (hessian + hessian.transpose(0, 2, 1)) / 2
 
     def _evaluate(self, position: Array, antenna: Array, tag: Array, gradient: Array) -> Array:
         """`expected`; fills `gradient` unless it is empty."""
@@ -116,7 +115,7 @@ class RssiModel:
         return Link(origin, boresight, level, self._slope, self._near2, power, floor)
 
 
-_SIX_WAYS = np.concatenate([np.eye(3), -np.eye(3)])
+_CORNER = np.concatenate([np.zeros((1, 3)), np.eye(3)])
 
 
 @njit(cache=True, error_model="numpy")
