@@ -53,12 +53,11 @@ class Centroid:
         used = self._newest.add(event)
         rows = event.row[used]
         self._heard[rows] = event.data.t[used]
-        mean, covariance = self._centroid()
-        self._held[rows], self._held_covariance[rows] = mean[rows], covariance[rows]
+        self._held[rows], self._held_covariance[rows] = self._centroid(rows)
         return UpdateInfo(used)
 
     def estimate(self) -> Estimate:
-        mean, covariance = self._centroid()
+        mean, covariance = self._centroid(slice(None))
         silent = np.isnan(mean[:, 0])
         mean = np.where(silent[:, None], self._held, mean)
         covariance = np.where(silent[:, None, None], self._held_covariance, covariance)
@@ -69,9 +68,10 @@ class Centroid:
         held = np.where(since > self._config.lost_s, Status.LOST, Status.COASTING)
         return np.where(silent | (since > self._config.coast_s), held, Status.OK).astype(np.int8)
 
-    def _centroid(self) -> tuple[Array, Array]:
-        """(B, 3) and (B, 3, 3), NaN for rows that nobody heard within `memory_s`."""
-        return centroid(self._newest.rssi(self._time, self._config.memory_s), self._antennas, self._config.exponent, self._config.spread_m)
+    def _centroid(self, rows: Array | slice) -> tuple[Array, Array]:
+        """(rows, 3) and (rows, 3, 3), NaN for those that nobody heard within `memory_s`."""
+        rssi = self._newest.rssi(self._time[rows], self._config.memory_s, rows)
+        return centroid(rssi, self._antennas, self._config.exponent, self._config.spread_m)
 
 
 def centroid(rssi: Array, antennas: Array, exponent: float, spread: float) -> tuple[Array, Array]:

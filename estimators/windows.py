@@ -33,7 +33,8 @@ class Newest:
         self._value[at], self._time[at] = reads.rssi[newer], reads.t[newer]
         return heard
 
-    def rssi(self, t: Array, memory: float) -> Array:
-        """(rows, [tags,] antennas) dBm: what was heard within `memory` s before t (rows,), NaN elsewhere."""
-        now = np.reshape(t, (-1, *(1,) * (self._time.ndim - 1)))
-        return np.where(now - self._time <= memory, self._value, np.nan)
+    def rssi(self, t: Array, memory: float, rows: Array | slice = slice(None)) -> Array:
+        """(rows, [tags,] antennas) dBm: what was heard within `memory` s before t (rows,), NaN elsewhere. All rows, or those given."""
+        time = self._time[rows]
+        now = np.reshape(t, (-1, *(1,) * (time.ndim - 1)))
+        return np.where(now - time <= memory, self._value[rows], np.nan)
