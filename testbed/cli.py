@@ -221,6 +221,24 @@ def replay(
 
 
 @app.command()
+def render(
+    folder: Annotated[Path, typer.Argument(help="Output folder of a run.")],
+    out: Annotated[Path, typer.Option(help="Folder for the pictures.")],
+    camera: Annotated[list[str] | None, typer.Option("--camera", help="Only this camera of the scenario; may come several times.")] = None,
+    animated: Annotated[bool, typer.Option("--animated", help="The whole trial as an animated WebP instead of PNGs.")] = False,
+    tracks: Annotated[bool, typer.Option(help="Draw truth and estimates over the picture.")] = True,
+) -> None:
+    """Draw what the scenario's cameras saw in the recordings of a run: no display is needed, and no simulation."""
+    from testbed.report.pictures import render as rendered
+
+    try:
+        for path in rendered(folder, out, camera or (), animated, tracks):
+            _out().print(str(path), soft_wrap=True)
+    except ImportError as error:
+        raise typer.Exit(_complain(str(error))) from None
+
+
+@app.command()
 def validate(scenarios: Names, sets: Sets = None) -> None:
     """Check scenario files, the places of tags and antennas included, without running anything. Needs no pybullet."""
     from testbed.scenario import load

@@ -13,6 +13,7 @@ from testbed.plugins import load
 from testbed.protocols import ActorPlan, Sensed, Sensor, Surroundings, World
 from testbed.radio.materials import losses
 from testbed.recording import Recording, Trial
+from testbed.report.cameras import mistakes
 from testbed.rng import Counter, keys_of
 from testbed.scene import Scene, Truth
 from testbed.tagging import choose_targets, place_tags
@@ -39,6 +40,7 @@ class Simulator:
             self.aims = choose_targets(scenario, self.scene, self.tagged, on)
             self._sensors = [self._sensor(section) for section in scenario.sensors]
             self._check_radios()
+            self._check_cameras()
             materials = losses(self.scene.materials)
             self._caster = self._world.caster(self.scene, scenario.rays, *materials) if rays else None
         except BaseException:
@@ -65,6 +67,11 @@ class Simulator:
                 if table is not None and not np.array_equal(table, frequencies):
                     raise self.scenario.problem(section.loc, "its carriers differ from another reader's: one site has one region")
                 table = frequencies
+
+    def _check_cameras(self) -> None:
+        for i, camera in enumerate(self.scenario.cameras):
+            for field, message in mistakes(camera, self.scene, self.scenario.duration_s):
+                raise self.scenario.problem(("cameras", i, field), message)
 
     def __enter__(self) -> Self:
         return self

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from testbed import plugins
+from testbed.report.cameras import CameraSpec
 from testbed.scenario import overrides, sections, tags
 from testbed.scenario.claims import claims
 from testbed.scenario.model import MAX_INSTANTS, MAX_REPORTS, MAX_RUNS, Document
@@ -75,7 +76,8 @@ def _whole(raw: dict[str, Any], review: Review, text: str, path: Path | None) ->
         for group in ("actors", "sensors", "estimators")
     }
     metrics = _metrics(raw, review)
-    for group in (*groups, "metrics"):
+    cameras = sections.every(raw.get("cameras"), ("cameras",), review, lambda item, loc: review.check(CameraSpec, item, loc))
+    for group in (*groups, "metrics", "cameras"):
         sections.distinct(raw.get(group), group, review)
     rules = tags.rules(raw.get("tags"), ("tags",), None, review)
     tags.distinct([*rules, *(tag for actor in groups["actors"] for tag in actor.tags)], {actor.id for actor in groups["actors"]}, review)
@@ -86,8 +88,8 @@ def _whole(raw: dict[str, Any], review: Review, text: str, path: Path | None) ->
     plain: dict[str, Any] = {name: getattr(document, name) for name in _PLAIN}
     listed: dict[str, Any] = {group: tuple(found) for group, found in groups.items()}
     return Scenario(
-        **plain, **listed, world=world, metrics=tuple(metrics), tags=rules, targets=tuple(document.targets), expect=expect,
-        document=raw, text=text, path=path, source=review.source,
+        **plain, **listed, world=world, metrics=tuple(metrics), cameras=tuple(cameras), tags=rules, targets=tuple(document.targets),
+        expect=expect, document=raw, text=text, path=path, source=review.source,
     )  # fmt: skip
 
 

@@ -151,6 +151,7 @@ class Document(Config):
     prior: PriorModel = PriorModel()
     estimators: Annotated[list[Any], Field(max_length=100)] = Field(default_factory=list)
     metrics: Annotated[list[Any], Field(max_length=100)] | None = None
+    cameras: Annotated[list[Any], Field(max_length=100)] = Field(default_factory=list)
     report_hz: Annotated[Hertz, Field(gt=0, le=10_000)] = 10.0
     hold_s: Annotated[Seconds, Field(ge=0, le=3_600)] = 0.0
     step_hz: Annotated[int, Field(ge=10, le=10_000)] = 240

@@ -14,12 +14,13 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic_core import to_jsonable_python
 
+from testbed.report.cameras import CameraSpec
 from testbed.scenario.claims import Claim
 from testbed.scenario.model import ActorSection, PriorModel, Section, SurveyModel, TagRule
 from testbed.scenario.problems import Loc, ScenarioError
 from testbed.scenario.source import Source
 
-_OUTSIDE_HASH = ("trials", "seed", "expect", "files")  # files are hashed as the tags they hold
+_OUTSIDE_HASH = ("trials", "seed", "expect", "files", "cameras")  # files are hashed as the tags they hold
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ class Scenario:
     sensors: tuple[Section, ...]
     estimators: tuple[Section, ...]
     metrics: tuple[Section, ...]
+    cameras: tuple[CameraSpec, ...]
     tags: tuple[TagRule, ...]
     targets: tuple[str, ...]
     prior: PriorModel
@@ -63,7 +65,7 @@ class Scenario:
 
     @cached_property
     def hash(self) -> str:
-        """sha256 (hex) of what is simulated and estimated: all values, defaults included, without trials, seed and expectations.
+        """sha256 (hex) of what is simulated and estimated: all values, defaults included, without trials, seed, expectations and cameras.
 
         The same for the same values, however the file is ordered, commented or written (YAML, a mapping, "30 cm" for 0.3).
         """

@@ -8,6 +8,7 @@ from typing import Any
 from pydantic.errors import PydanticUserError
 
 from testbed import plugins
+from testbed.report.cameras import CameraSpec
 from testbed.scenario.model import ID_PATTERN, MAX_TAGS, ActorModel, Document, TagRule
 
 _REF = "#/$defs/"
@@ -34,6 +35,8 @@ def json_schema() -> dict[str, Any]:
         properties[group] = {"type": "array", "items": {"$ref": f"{_REF}{group}"}}
     definitions["tag"] = _lifted(TagRule.model_json_schema(), "tag", definitions)
     properties["tags"] = {"type": "array", "items": {"$ref": f"{_REF}tag"}, "maxItems": MAX_TAGS}
+    definitions["camera"] = _lifted(CameraSpec.model_json_schema(), "camera", definitions)
+    properties["cameras"] = {"type": "array", "items": {"$ref": f"{_REF}camera"}, "maxItems": 100}
     properties["expect"] = {"type": "object", "additionalProperties": {"type": "object", "additionalProperties": _expected()}}
     properties["sweep"] = {"type": "object", "additionalProperties": {"type": "array", "minItems": 1}}
     _describe(properties)
@@ -107,6 +110,7 @@ _TOLD = {
     "tags": "tags that no actor carries; an actor's own are in its section",
     "targets": "patterns over ids of tags and actors that are to be located; left out: every tag on an actor that moves",
     "prior": "what every estimator is told before it starts",
+    "cameras": "what is to be seen of it: where pictures are taken from, and when",
     "estimators": "the methods to compare, all on the same data",
     "metrics": "figures of merit; left out: all that are installed",
     "report_hz": "how often estimates are recorded and scored, Hz",
