@@ -124,6 +124,23 @@ def test_a_kept_recording_is_replayed_to_the_same_figures(quick, tmp_path):
     assert list(other["estimators"]) == ["ekf"]
 
 
+def test_pictures_of_a_run_by_its_cameras(quick, tmp_path):
+    pytest.importorskip("pybullet", reason="pictures need pybullet")
+    quick.write_text(
+        quick.read_text() + "cameras:\n  - {id: hall, at: [start, end], width_px: 160, height_px: 120}\n  - {id: t, follow: t1}\n"
+    )
+    command("run", quick, "--jobs", "1", "--trials", "1", "--out", "o", cwd=tmp_path)
+    said = command("render", "o", "--out", "p", "--camera", "hall", cwd=tmp_path).stdout.split()
+    assert said == ["p/hall-start.png", "p/hall-end.png"]
+    import cv2
+
+    image = cv2.imread(str(tmp_path / "p" / "hall-end.png"))
+    assert image.shape[1] == 160
+    assert image.shape[0] >= 120  # the legend is a strip below
+    assert image.std() > 10  # something is to be seen
+    assert "did you mean hall" in command("render", "o", "--out", "p", "--camera", "hal", cwd=tmp_path, code=2).stderr
+
+
 def test_a_trial_is_made_again_from_the_manifest(quick, tmp_path):
     command("run", quick, "--jobs", "1", "--out", "o", cwd=tmp_path)
     quick.unlink()
