@@ -31,12 +31,10 @@ from testbed.radio.diffraction import CLEAR_OF_ZONE, clearance, detour_of_nu, kn
 DIRECTIONS = 8  # level, upright and between: edges in a hall are mostly level or upright; an oblique one is missed by 1/cos 22.5°
 _ANGLE = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
 SEARCH = 3.0 / np.cos(np.pi / DIRECTIONS)  # |ν| on a ray that meets any straight edge at ν <= 3
-LADDER = (0.4, CLEAR_OF_ZONE, 1.5, 2.3, SEARCH)  # |ν| at which ways round are tried
-NEARER = 2  # rungs of the ladder tried first
+LADDER = (CLEAR_OF_ZONE, 1.5, 2.3, SEARCH)  # |ν| at which ways round are tried, one after the other
 VERTICES = np.array([0.03, 0.15, 0.5, 0.85, 0.97])  # where a ray along the rim bends: even steps of log(d1/d2), so that no edge
 BULGE = 1.04  # between two of them is more than 5 % nearer or farther than its ν says
-PARTS = 3  # each round of a search cuts an interval of ν in so many parts
-COARSE, FINE = 2, 2  # rounds for every direction, and more for the one that counts: 1/81 of the interval is left, 0.1 dB
+COARSE, FINE = 3, 4  # halvings of an interval of ν for every direction, and more for the one that counts: 1/128 is left, 0.1 dB
 BEND = 1e-6  # m: so near to a bend a thing holds it
 OPAQUE = 60.0  # dB: more than this is as good as this
 NOTICED = 0.5  # dB: less than this is no change of obstruction
@@ -58,14 +56,18 @@ class Obstacles:
     """All that may stand on rays of N links: what never moves, and the moving bodies for those links that they come `near`.
 
     poses (Q, moving bodies, 7) at the instants, instant (N,) which of them is each link's, near (N,) bool. Without them nothing moves.
+    `still` False leaves out what never moves.
     """
 
-    def __init__(self, caster: Caster, poses: Array | None = None, instant: Array | None = None, near: Array | None = None) -> None:
-        self._caster, self._poses, self._instant, self._near = caster, poses, instant, near
+    def __init__(
+        self, caster: Caster, poses: Array | None = None, instant: Array | None = None, near: Array | None = None, still: bool = True
+    ) -> None:
+        self._caster, self._poses, self._instant, self._near, self._still = caster, poses, instant, near, still
 
     def on(self, link: Array, start: Array, end: Array) -> Obstruction:
         """Obstruction of rays `start` (M, 3) to `end` (M, 3), each of the link `link` (M,)."""
-        found = self._caster.static(start, end)
+        none = Obstruction(count=np.zeros(len(link)), loss=np.zeros(len(link)))
+        found = self._caster.static(start, end) if self._still else none
         if self._poses is None or self._instant is None or self._near is None:
             return found
         also = np.flatnonzero(self._near[link])
@@ -77,22 +79,13 @@ class Obstacles:
         loss[also] += moving.loss
         return Obstruction(count=count, loss=loss)
 
-    def along(self, link: Array, corners: Array) -> Obstruction:
-        """Obstruction (M, k - 1) of the legs of M rays that bend at `corners` (M, k, 3), by leg.
+    def bent(self, link: Array, inside: Array, way: Array) -> Array:
+        """(M,) dB that things which hold the points `inside` (M, 3) take on entry.
 
-        A thing that a ray bends inside of is met by both legs, and its loss on entry would count twice: it is taken off again.
+        Two legs that meet inside a thing both enter it; this is what their sum counts twice. `way` (M, 3): along the ray.
         """
-        legs = corners.shape[1] - 1
-        a, b = corners[:, :-1].reshape(-1, 3), corners[:, 1:].reshape(-1, 3)
-        found = self.on(np.repeat(link, legs), a, b)
-        count, loss = found.count.reshape(-1, legs), np.array(found.loss).reshape(-1, legs)
-        ray, bend = np.nonzero((count[:, :-1] > 0) & (count[:, 1:] > 0) & (loss.sum(axis=1, keepdims=True) < OPAQUE))
-        if len(ray):
-            inside = corners[ray, bend + 1]
-            way = corners[ray, -1] - corners[ray, 0]
-            way *= BEND / np.linalg.norm(way, axis=1, keepdims=True)
-            loss[ray, bend + 1] -= self.on(link[ray], inside - way, inside + way).loss
-        return Obstruction(count=count.ravel(), loss=loss.ravel())
+        step = way * (BEND / np.linalg.norm(way, axis=1, keepdims=True))
+        return self.on(link, inside - step, inside + step).loss
 
     def extent(self, link: Array, start: Array, end: Array) -> tuple[Array, Array, Array]:
         """(ray (C,), from (C,), to (C,)): every box on every ray, and between which shares of the ray's length."""
@@ -171,18 +164,27 @@ class Bundle:
         points = self._rim_points(lines)
         per, own = points.shape[2] - 1, self.loss[lines]
         line = np.repeat(lines, DIRECTIONS)
-        found = self._obstacles.along(self._link[line], points.reshape(len(line), per + 1, 3))
-        rim = np.minimum(found.loss.reshape(len(lines), DIRECTIONS, per).sum(axis=2), OPAQUE)
+        count, rim = self._legs(self._link[line], points.reshape(len(line), per + 1, 3))
+        rim = rim.reshape(len(lines), DIRECTIONS)
         differs = np.abs(rim - own[:, None]) > NOTICED
         place, directions = np.nonzero(differs)
         # what makes the rim worse is on the rim; what makes it better is on the line
-        hit = np.flatnonzero((found.count > 0) & np.repeat((differs & (rim > own[:, None])).ravel(), per))
+        hit = np.flatnonzero((count > 0) & np.repeat((differs & (rim > own[:, None])).ravel(), per))
         a, b = points[:, :, :-1].reshape(-1, 3)[hit], points[:, :, 1:].reshape(-1, 3)[hit]
         bend = self._bends(hit // per, line[hit // per], a, b, rim.size)[place * DIRECTIONS + directions]
         better = np.flatnonzero(rim[place, directions] < own[place])
         if len(better):
             bend[better] = self.bend()[lines[place[better]]]
         return rim, place, directions, bend
+
+    def _legs(self, link: Array, corners: Array) -> tuple[Array, Array]:
+        """Obstacles (M · legs,) on each leg of M rays that bend at `corners` (M, legs + 1, 3), and dB (M,) on the whole ray."""
+        legs = corners.shape[1] - 1
+        found = self._obstacles.on(np.repeat(link, legs), corners[:, :-1].reshape(-1, 3), corners[:, 1:].reshape(-1, 3))
+        count, loss = found.count.reshape(-1, legs), found.loss.reshape(-1, legs).sum(axis=1)
+        ray, bend = np.nonzero((count[:, :-1] > 0) & (count[:, 1:] > 0) & (loss[:, None] < 2 * OPAQUE))
+        twice = self._obstacles.bent(link[ray], corners[ray, bend + 1], corners[ray, -1] - corners[ray, 0])
+        return found.count, np.minimum(loss - np.bincount(ray, twice, len(loss)), OPAQUE)
 
     def _rim_points(self, lines: Array) -> Array:
         """(L, directions, corners, 3): rays along the rim of the zone, ends included."""
@@ -221,72 +223,82 @@ class Bundle:
         np.maximum.at(last, group, leave)
         length[group] = distance
         with np.errstate(invalid="ignore"):
-            bend = first * length / (length - last + first)
+            before, behind = np.maximum(first, BEND), np.maximum(length - last, BEND)
+            bend = before * length / (behind + before)
         return np.clip(bend, 1e-3 * length, (1 - 1e-3) * length)
 
     # ------------------------------------------------------------ ways that bend once
 
-    def _ways(self, rows: Array, directions: Array, bend: Array, nu: Array) -> Array:
-        """(M,) dB on ways from end to end that bend at `bend` m along line `rows`, out to |ν| in that direction."""
+    def _ways(self, rows: Array, directions: Array, bend: Array, nu: Array, limit: Array) -> Array:
+        """(M,) dB on ways from end to end that bend at `bend` m along line `rows`, out to |ν| in that direction.
+
+        Infinite where the first leg alone loses more than `limit` (M,) dB: the second is not looked at then.
+        """
         off = clearance(nu, bend, self._distance[rows], self._wavelength)
         vertex = self._start[rows] + bend[:, None] * self._axis[rows] + off[:, None] * self._across[rows, directions]
-        corners = np.stack([self._start[rows], vertex, self._end[rows]], axis=1)
-        return np.minimum(self._obstacles.along(self._link[rows], corners).loss.reshape(-1, 2).sum(axis=1), OPAQUE)
+        first = self._obstacles.on(self._link[rows], self._start[rows], vertex)
+        on = np.flatnonzero(first.loss <= limit)
+        link, loss = self._link[rows[on]], np.full(len(rows), np.inf)
+        second = self._obstacles.on(link, vertex[on], self._end[rows[on]])
+        loss[on] = first.loss[on] + second.loss
+        both = np.flatnonzero((first.count[on] > 0) & (second.count > 0) & (loss[on] < 2 * OPAQUE))
+        loss[on[both]] -= self._obstacles.bent(link[both], vertex[on[both]], self._axis[rows[on[both]]])
+        return loss
 
     def _change(
-        self, ways: tuple[Array, Array, Array], low: Array, high: Array, before: Array, after: Array, rounds: int
+        self, ways: tuple[Array, Array, Array], low: Array, high: Array, before: Array, after: Array, halvings: int
     ) -> tuple[Array, Array]:
         """Where between `low` and `high` |ν| (M,) the loss of `ways` (rows, directions, bend) turns from `before` to `after` dB.
 
         A narrower (low, high): it has turned where it is nearer to `after`.
         """
-        rows, directions, bend = ways
-        again = np.repeat(np.arange(len(rows)), PARTS - 1)
-        for _ in range(rounds if len(rows) else 0):
-            step = (high - low) / PARTS
-            levels = low[:, None] + step[:, None] * np.arange(1, PARTS)
-            loss = self._ways(rows[again], directions[again], bend[again], levels.ravel()).reshape(levels.shape)
-            turned = np.abs(loss - after[:, None]) < np.abs(loss - before[:, None])
-            low = low + np.where(turned.any(axis=1), turned.argmax(axis=1), PARTS - 1) * step
-            high = low + step
+        between, rises = (before + after) / 2, after > before
+        for _ in range(halvings if len(low) else 0):
+            middle = (low + high) / 2
+            turned = (self._ways(*ways, middle, between) > between) == rises
+            low, high = np.where(turned, low, middle), np.where(turned, middle, high)
         return low, high
+
+    # ------------------------------------------------------------ the least of them
 
     def round(self, worth: Array) -> tuple[Array, Array]:
         """Least loss (n,) of a way round, dB, inf where none is found within `worth` dB; and by how much it is longer, m."""
         loss, detour = np.full(len(self.loss), np.inf), np.zeros(len(self.loss))
-        rungs = np.array((0.0, *LADDER))
-        for first, last in ((0, NEARER), (NEARER, len(LADDER))):
-            floor = knife_edge(rungs[first])  # no way beyond this rung costs less
+        low = 0.0
+        for high in LADDER:
+            floor = float(knife_edge(low))  # no way beyond this rung costs less
             rows = np.flatnonzero((np.minimum(loss, self.loss) > floor) & (worth >= floor))
             if len(rows):
-                found, longer = self._among(rows, rungs[first : last + 1])
+                found, nu = self._between(rows, low, high, np.minimum(np.minimum(loss, self.loss), worth)[rows])
                 less = found < loss[rows]
-                loss[rows], detour[rows] = np.minimum(found, loss[rows]), np.where(less, longer, detour[rows])
+                loss[rows] = np.minimum(found, loss[rows])
+                detour[rows] = np.where(less, detour_of_nu(nu, self._wavelength), detour[rows])
+            low = high
         return loss, detour
 
-    def _among(self, rows: Array, rungs: Array) -> tuple[Array, Array]:
-        """Least loss (R,) and detour (R,) of ways that bend between neighbouring `rungs` of |ν|, beyond the first."""
-        r, k = len(rows), len(rungs) - 1
-        each, rung, direction = (x.ravel() for x in np.meshgrid(np.arange(r), np.arange(1, k + 1), np.arange(DIRECTIONS), indexing="ij"))
+    def _between(self, rows: Array, low: float, high: float, most: Array) -> tuple[Array, Array]:
+        """Least loss (R,) of ways that begin to be open between two |ν|, inf if it isn't below `most` (R,) dB; and their |ν|."""
+        each, direction = np.repeat(np.arange(len(rows)), DIRECTIONS), np.tile(np.arange(DIRECTIONS), len(rows))
         bend = self.bend()[rows]
-        way = self._ways(rows[each], direction, bend[each], rungs[rung])
-        most, least = way + knife_edge(rungs[rung]), way + knife_edge(rungs[rung - 1])
-        best = np.full(r, np.inf)
-        np.minimum.at(best, each, most)
-        before = np.broadcast_to(self.loss[rows][:, None, None], (r, 1, DIRECTIONS))
-        before = np.concatenate([before, way.reshape(r, k, DIRECTIONS)[:, :-1]], axis=1).ravel()
-        # only a way that may still be the best, and that begins between this rung and the one before
-        try_ = np.flatnonzero((least <= best[each]) & (before > way + NOTICED))
-        each, rung, direction, way = each[try_], rung[try_], direction[try_], way[try_]
-        ways = rows[each], direction, bend[each]
-        low, high = self._change(ways, rungs[rung - 1], rungs[rung], before[try_], way, COARSE + FINE)
-        level = (low + high) / 2
-        total = way + knife_edge(level)
-        order = np.lexsort((total, each))
-        winner = order[np.unique(each[order], return_index=True)[1]]
-        loss, detour = np.full(r, np.inf), np.zeros(r)
-        loss[each[winner]], detour[each[winner]] = total[winner], detour_of_nu(level[winner], self._wavelength)
-        return loss, detour
+        way = self._ways(rows[each], direction, bend[each], np.full(len(each), high), most[each] - knife_edge(low))
+        lows, highs = np.full(len(each), low), np.full(len(each), high)
+        best = np.array(most)
+        alive = np.flatnonzero(way + knife_edge(low) < most[each])
+        for _ in range(COARSE + FINE):
+            np.minimum.at(best, each[alive], way[alive] + knife_edge(highs[alive]))
+            alive = alive[way[alive] + knife_edge(lows[alive]) <= best[each[alive]]]  # only one that may still be the best
+            if not len(alive):
+                break
+            ways = rows[each[alive]], direction[alive], bend[each[alive]]
+            # it begins where it loses what it does on the rung, rather than what stands on the line
+            lows[alive], highs[alive] = self._change(ways, lows[alive], highs[alive], way[alive] + NOTICED, way[alive], 1)
+        loss, nu = np.full(len(rows), np.inf), np.zeros(len(rows))
+        level = (lows[alive] + highs[alive]) / 2
+        total = way[alive] + knife_edge(level)
+        order = np.lexsort((total, each[alive]))
+        winner = order[np.unique(each[alive][order], return_index=True)[1]]
+        loss[each[alive][winner]], nu[each[alive][winner]] = total[winner], level[winner]
+        return loss, nu
 
 
 def across(axis: Array) -> Array:
