@@ -128,9 +128,10 @@ def run(
     keep: Annotated[str, typer.Option(help="Recordings to keep: none, all, or some of failed, first:N, worst:N.")] = "first:1,failed",
     resume: Annotated[bool, typer.Option("--resume", help="Go on in --out where an earlier run stopped.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the run that is in --out.")] = False,
+    with_report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html into the output folder.")] = True,
     as_json: Json = False,
 ) -> None:
-    """Run scenarios: simulate their trials, run every estimator on them, score, judge what the scenario expects."""
+    """Run scenarios: simulate their trials, run every estimator on them, score, judge what the scenario expects, report."""
     from testbed import batch
     from testbed.api import scenario_of
     from testbed.keep import Keep
@@ -155,10 +156,25 @@ def run(
         results.append(found)
         if not as_json:
             console.run(_out(), found)
+        page = _reported(folder) if with_report else None
+        if page and not as_json:
+            _out().print(f"report in {page}", soft_wrap=True)
     if as_json:
         documents = [result.document() for result in results]
         _print_json(documents[0] if len(documents) == 1 else {"scenarios": documents, "ok": all(d["ok"] for d in documents)})
     raise typer.Exit(_verdict(results))
+
+
+def _reported(folder: Path) -> Path | None:
+    """The report of a run that is finished; one that can't be made is told in a sentence, for the results are there all the same."""
+    from testbed.report import write
+
+    try:
+        return write(folder)
+    except Exception as error:
+        again = f"the results are whole; testbed report {folder} tries again and shows where it went wrong"
+        _complain(f"the report could not be made ({type(error).__name__}: {error}); {again}")
+        return None
 
 
 def _folder(out: Path | None, name: str, several: bool) -> Path:
@@ -218,6 +234,24 @@ def replay(
         _print_json({"scenario": found.scenario.name, "recordings": len({key[:2] for key in found.tracks}), "estimators": documents})
     else:
         console.results(_out(), f"{found.scenario.name}, replayed", found.summaries, {})
+
+
+@app.command()
+def report(
+    folder: Annotated[Path, typer.Argument(help="Output folder of a run.")],
+    show: Annotated[str, typer.Option("--open", help="Show it in a browser: yes, no, or auto for yes on a terminal.")] = "auto",
+) -> None:
+    """Write report.html, one page that holds everything it shows, from the output folder of a run; nothing is simulated again."""
+    from testbed.report import write
+
+    if show not in ("yes", "no", "auto"):
+        raise typer.Exit(_complain(f"--open takes yes, no or auto, not {show!r}"))
+    page = write(folder)
+    _out().print(str(page), soft_wrap=True)
+    if show == "yes" or (show == "auto" and sys.stdout.isatty()):
+        import webbrowser
+
+        webbrowser.open(page.resolve().as_uri())
 
 
 @app.command()

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 pytestmark = pytest.mark.study
-RUN = [sys.executable, "-m", "testbed", "run", "dock-gate", "--trials", "8", "--seed", "3", "--keep", "none"]
+RUN = [sys.executable, "-m", "testbed", "run", "dock-gate", "--trials", "8", "--seed", "3", "--keep", "none", "--no-report"]
 
 
 def assert_same_table(a, b):
