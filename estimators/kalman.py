@@ -5,8 +5,8 @@ and what they predict (unscented filter), each vectorised over entries; a measur
 components are left out. Each row is worked on by itself, so a row's numbers don't depend on its company.
 
 A covariance stays symmetric and positive definite: the extended update is Joseph's form (Bucy and Joseph 1968), and what
-rounding leaves of either update is made symmetric and, should a Cholesky factor not exist, lifted by the smallest tenfold step
-of its trace that gives one. An update that would leave a number that is not finite is not made.
+rounding leaves of either update is made symmetric and, should it not be positive definite, lifted by the smallest tenfold step
+of its trace that makes it so. An update that would leave a number that is not finite is not made.
 """
 
 from __future__ import annotations
@@ -121,12 +121,13 @@ def _cholesky(a, factor, n):
 
 @njit(cache=True, error_model="numpy")
 def _positive(a, work, n):
-    """Whether the leading n × n block of `a` is positive definite, by elimination: half the cost of a Cholesky factor."""
+    """Whether the leading n × n block of `a` is positive definite beyond what rounding can undo: each pivot of its elimination is
+    more than 1e-14 of its diagonal."""
     for i in range(n):
         for j in range(i + 1):
             work[i, j] = a[i, j]
     for k in range(n):
-        if not work[k, k] > 0.0 or not np.isfinite(work[k, k]):
+        if not work[k, k] > 1e-14 * a[k, k] or not np.isfinite(work[k, k]):  # NaN is not above anything
             return False
         inverse = 1.0 / work[k, k]
         for i in range(k + 1, n):
@@ -137,33 +138,33 @@ def _positive(a, work, n):
 
 
 @njit(cache=True, error_model="numpy")
-def _factor(a, factor, n):
-    """As `_cholesky`, with the diagonal lifted by as little as it takes; False where no lift helps."""
-    if _cholesky(a, factor, n):
+def _lift(a, work, n):
+    """Raise the diagonal of `a` by as little as makes it positive definite; False where nothing helps."""
+    if _positive(a, work, n):
         return True
     trace = 0.0
     for i in range(n):
         trace += abs(a[i, i])
-    lift, lifted = 1e-15 * trace, 0.0
+    step, lifted = 1e-15 * trace, 0.0
     for _ in range(16):
         for i in range(n):
-            a[i, i] += lift - lifted
-        lifted = lift
-        if _cholesky(a, factor, n):
+            a[i, i] += step - lifted
+        lifted = step
+        if _positive(a, work, n):
             return True
-        lift *= 10.0
+        step *= 10.0
     return False
 
 
 @njit(cache=True, error_model="numpy")
-def _commit(mean, covariance, row, x, p, factor, n):
+def _commit(mean, covariance, row, x, p, work, n):
     """Write a row's new mean and covariance if they are finite and the covariance is, or can be made, positive definite."""
     for i in range(n):
         if not np.isfinite(x[i]):
             return False
         for j in range(i):
             p[i, j] = p[j, i] = 0.5 * (p[i, j] + p[j, i])
-    if not _positive(p, factor, n) and not _factor(p, factor, n):
+    if not _lift(p, work, n):
         return False
     for i in range(n):  # not by slices: an assignment of arrays takes numba seconds to compile
         mean[row, i] = x[i]
@@ -291,11 +292,13 @@ def _points(mean, covariance, rows, spread, points):
         for i in range(n):
             for j in range(n):
                 scaled[i, j] = spread * covariance[row, i, j]
-        _factor(scaled, factor, n)
+        proper = _cholesky(scaled, factor, n)
+        if not proper and _lift(scaled, factor, n):  # a prior may be certain of something
+            proper = _cholesky(scaled, factor, n)
         for i in range(n):
             points[e, 0, i] = mean[row, i]
             for k in range(n):
-                step = factor[i, k] if k <= i else 0.0
+                step = 0.0 if k > i else factor[i, k] if proper else np.nan  # a read through NaN is refused
                 points[e, 1 + k, i] = mean[row, i] + step
                 points[e, 1 + n + k, i] = mean[row, i] - step
 
@@ -303,7 +306,7 @@ def _points(mean, covariance, rows, spread, points):
 @njit(cache=True, error_model="numpy")
 def _unscented(mean, covariance, rows, points, innovation, noise, weight_m, weight_c, limits, used, log_likelihood, nis, dof):
     n, count, most = mean.shape[1], points.shape[1], innovation.shape[2]
-    x, p, factor_p = np.empty(n), np.empty((n, n)), np.empty((n, n))
+    x, p, work = np.empty(n), np.empty((n, n)), np.empty((n, n))
     gain, s, factor = np.empty((n, most)), np.empty((most, most)), np.empty((most, most))
     y, d, seen = np.empty(most), np.empty((count, most)), np.empty(most, np.int64)
     for e in range(len(rows)):
@@ -337,7 +340,7 @@ def _unscented(mean, covariance, rows, points, innovation, noise, weight_m, weig
                 for i in range(m):
                     total -= gain[a, i] * gain[c, i]
                 p[a, c] = total
-        used[e] = _commit(mean, covariance, row, x, p, factor_p, n)
+        used[e] = _commit(mean, covariance, row, x, p, work, n)
 
 
 @njit(cache=True, error_model="numpy")

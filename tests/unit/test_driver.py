@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 from typing import ClassVar
+from unittest import mock
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from testbed import events
 from testbed.checks import samples
 from testbed.estimate import row_seeds, run
+from testbed.protocols import SingleTarget
 from testbed.quantity import Config
 from testbed.recording import Recording
 from testbed.rng import RowRandom
-from testbed.types import Counts, Estimate, Odometry, Prior, Reads, Rounds, Targets, UpdateInfo
+from testbed.types import Counts, Estimate, Odometry, Prior, Reads, Rounds, Status, Targets, UpdateInfo
 
 
 class Diary:
@@ -114,7 +117,7 @@ def one_by_one(of: Recording, target: int, ticks, hold: float, start: float, acc
 
 
 times = st.integers(0, 22).map(lambda i: i / 20)  # a coarse grid: many events at one time, and on the report times
-entries = st.lists(st.tuples(times, st.sampled_from([0.0, 0.0, 0.05, 0.3]), st.integers(0, 2), st.integers(0, 9)), max_size=25)
+entries = st.lists(st.tuples(times, st.sampled_from([0.0, 0.0, 0.05, 0.1, 0.15, 0.3]), st.integers(0, 2), st.integers(0, 9)), max_size=25)
 trials = st.lists(st.tuples(st.sampled_from([[[0]], [[0], [1]], [[0], [1, 2], [1]]]), entries, entries), min_size=1, max_size=3)
 
 
@@ -126,11 +129,12 @@ def recordings_of(pattern):
 
 
 @settings(max_examples=60, deadline=None)
-@given(trials, st.sampled_from([0.0, 0.1, 0.5]), st.sampled_from([Diary, LateDiary]))
-def test_every_row_is_told_what_a_loop_over_its_events_would_tell_it(pattern, hold, method):
+@given(trials, st.sampled_from([0.0, 0.1, 0.5]), st.sampled_from([Diary, LateDiary]), st.sampled_from([3, 1_000_000]))
+def test_every_row_is_told_what_a_loop_over_its_events_would_tell_it(pattern, hold, method, entries_at_once):
     recordings = recordings_of(pattern)
     method.made.clear()
-    track = drive(recordings, method, report_hz=5.0, hold_s=hold)
+    with mock.patch.object(events, "ENTRIES", entries_at_once):
+        track = drive(recordings, method, report_hz=5.0, hold_s=hold)
     row = 0
     for r in recordings:
         for target in range(len(r.targets)):
@@ -172,6 +176,11 @@ def test_the_kth_events_of_all_rows_go_in_one_call():
     reads = [(0.01 * i + 0.001 * tag + 0.001, 0.0, tag, 1.0) for i in range(10) for tag in range(3)]
     drive([recording(trial, [[0], [1], [2]], reads, []) for trial in range(4)], report_hz=1.0)
     assert Diary.made[0].calls == 10
+
+
+def test_a_row_that_began_earlier_does_not_keep_the_others_from_its_calls():
+    drive([recording(0, [[0], [1]], [(0.1, 0.0, 0, 1.0), (0.6, 0.0, 0, 1.0), (0.7, 0.0, 1, 1.0)], [])], report_hz=2.0)
+    assert Diary.made[0].calls == 2
 
 
 def test_waiting_for_reports_in_flight_loses_none_and_not_waiting_does():
@@ -288,6 +297,47 @@ def test_a_row_that_begins_late_takes_nothing_older_and_is_not_turned_back():
     made = recording(0, [[0]], [(0.1, 0.0, 0, 1.0), (0.8, 0.0, 0, 2.0)], [])
     track = drive([made], prior=prior_of([made], t=0.5))
     assert (track.late[0], track.used[0]) == (1, 1)
+
+
+class Watch(SingleTarget):
+    """One row: writes down what it is called with."""
+
+    Config: ClassVar[type[Config]] = Config
+    consumes: ClassVar[frozenset[str]] = frozenset({"reads"})
+    components: ClassVar[tuple[str, ...]] = ("draws",)
+    calls: ClassVar[list[tuple]] = []
+
+    def start(self, t, mean, covariance):
+        self.draw = self.rng.normal()
+        self.calls.append(("start", t, mean.shape, covariance.shape))
+
+    def predict(self, t):
+        self.calls.append(("predict", t))
+
+    def update(self, kind, data):
+        assert isinstance(data.tag, int)
+        self.calls.append(("update", kind, data.t, data.rssi))
+
+    def estimate(self):
+        return np.array([self.draw]), np.eye(1), Status.OK
+
+
+def test_a_method_for_one_target_is_called_with_plain_numbers_and_never_twice_for_one_time():
+    Watch.calls.clear()
+    track = drive([recording(0, [[0]], [(0.1, 0.0, 0, -50.0), (0.1, 0.0, 0, -51.0)], [], duration=0.2)], Watch, report_hz=10.0)
+    assert Watch.calls[0] == ("start", 0.0, (6,), (6, 6))
+    assert Watch.calls[1:] == [
+        ("predict", 0.1), ("update", "reads", 0.1, -50.0), ("update", "reads", 0.1, -51.0), ("predict", 0.2),
+    ]  # fmt: skip
+    assert track.used[0] == 2
+
+
+def test_each_row_of_a_lifted_method_draws_from_its_own_generator_whoever_is_beside_it():
+    rows = [recording(trial, [[0], [1]], [], []) for trial in range(2)]
+    draws = drive(rows, Watch).mean[0, :, 0]
+    assert len(set(draws.tolist())) == 4
+    alone = run([samples.only(rows[1], 0)], Watch, Config(), prior_of(rows).take([2]), row_seeds(3, rows, "diary")[[2]])
+    assert alone.mean[0, 0, 0] == draws[2]
 
 
 def test_seeds_depend_on_trial_target_and_estimator_only():

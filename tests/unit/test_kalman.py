@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2, multivariate_normal
 
@@ -139,6 +139,8 @@ def test_sigma_points_that_would_collapse_are_refused():
 
 
 @settings(max_examples=60, deadline=None)
+@example(seed=1, doubt=6.0, noise=-9.0)
+@example(seed=1, doubt=6.0, noise=-12.0)
 @given(st.integers(0, 2**32 - 1), st.floats(-9, 6), st.floats(-12, 3))
 def test_covariances_stay_symmetric_and_positive_however_far_doubt_and_noise_lie_apart(seed, doubt, noise):
     rng = np.random.default_rng(seed)
@@ -157,6 +159,24 @@ def test_covariances_stay_symmetric_and_positive_however_far_doubt_and_noise_lie
         assert np.isfinite(mean).all()
         np.testing.assert_array_equal(covariance, covariance.transpose(0, 2, 1))
         np.linalg.cholesky(covariance)
+
+
+@pytest.mark.parametrize("method", ["extended", "unscented"])
+def test_a_prior_that_is_certain_of_something_can_be_updated(method):
+    certain = np.diag([1.0, 1.0, 0.0, 0.25, 0.25, 0.0])
+    mean, covariance, rows, weights = np.zeros((1, 6)), certain[None].copy(), np.array([0]), kalman.Weights.merwe(6, 1.0, 0.0, 0.0)
+    h = np.ones((1, 1, 6))
+    if method == "extended":
+        info = kalman.extended_update(mean, covariance, rows, np.ones((1, 1)), h, np.ones((1, 1, 1)), NO_GATE[1])
+    else:
+        points = kalman.sigma_points(mean, covariance, rows, weights)
+        innovation = 1.0 - np.einsum("epn,emn->epm", points, h)
+        info = kalman.unscented_update(mean, covariance, rows, points, innovation, np.ones((1, 1, 1)), weights, NO_GATE[1])
+    assert info.used[0]
+    x, p, _ = textbook(np.zeros(6), certain, np.ones(1), h[0], np.eye(1))
+    np.testing.assert_allclose(mean[0], x, atol=1e-7)
+    np.testing.assert_allclose(covariance[0], p, atol=1e-7)
+    np.linalg.cholesky(covariance[0])
 
 
 @pytest.mark.parametrize("spoilt", [1e308, -1e308, 1e200])
