@@ -36,7 +36,8 @@ class Forest(NamedTuple):
     first_top: Array  # (bodies + 1,) int64: where each body's blocks begin
     frame: Array  # (leaves,) int64: the leaf's frame, 0 for the body's own
     rotation: Array  # (frames, 3, 3): columns are the axes of each frame in the body's
-    ball: Array  # (bodies, 4) m, m²: centre in the body's frame, and radius squared, of a ball around all its boxes
+    ball: Array  # (lanes, 3) m: centre, in the body's frame, of a ball around all its boxes; lanes are whole vector registers
+    reach: Array  # (lanes,) m²: its radius squared; -1 for a ball that nothing meets
 
 
 class _Layer(NamedTuple):
@@ -65,6 +66,7 @@ def forest(bodies: Sequence[Boxes], index: Sequence[Array]) -> Forest:
         leaves.append(leaf)
         first_top.append(first_top[-1] + len(tops[-1].block))
     top, middle, leaf = _joined(tops), _joined(middles), _joined(leaves)
+    ball, reach = _balls(bodies)
     return Forest(
         top=top.block.ravel(),
         middle_of=top.member,
@@ -75,7 +77,8 @@ def forest(bodies: Sequence[Boxes], index: Sequence[Array]) -> Forest:
         first_top=np.array(first_top, dtype=np.int64),
         frame=np.concatenate(frame),
         rotation=np.array(rotations),
-        ball=np.array([_ball(boxes) for boxes in bodies]).reshape(-1, 4),
+        ball=ball,
+        reach=reach,
     )
 
 
@@ -147,11 +150,14 @@ def _empty() -> _Layer:
     return _layer(np.zeros((0, 3)), np.zeros((0, 3)))
 
 
-def _ball(boxes: Boxes) -> Array:
-    """(4,): a centre and the squared radius of a ball that holds all boxes; -1 for none."""
-    if not len(boxes):
-        return np.array([0.0, 0.0, 0.0, -1.0])
+def _balls(bodies: Sequence[Boxes]) -> tuple[Array, Array]:
+    """Centres (lanes, 3) and squared radii (lanes,) of one ball a body, filled up to whole registers with balls that nothing meets."""
+    lanes = -(-len(bodies) // 8) * 8
+    ball, reach = np.zeros((lanes, 3)), np.full(lanes, -1.0)
     sign = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-    corners = (boxes.center[:, None] + frames.rotate(boxes.quaternion[:, None], sign * boxes.half[:, None])).reshape(-1, 3)
-    center = (corners.min(axis=0) + corners.max(axis=0)) / 2
-    return np.array([*center, (np.linalg.norm(corners - center, axis=1).max() + _SLACK) ** 2])
+    for m, boxes in enumerate(bodies):
+        if len(boxes):
+            corners = (boxes.center[:, None] + frames.rotate(boxes.quaternion[:, None], sign * boxes.half[:, None])).reshape(-1, 3)
+            ball[m] = (corners.min(axis=0) + corners.max(axis=0)) / 2
+            reach[m] = (np.linalg.norm(corners - ball[m], axis=1).max() + _SLACK) ** 2
+    return ball, reach

@@ -15,20 +15,14 @@ A. Williams et al., "An efficient and robust ray-box intersection algorithm", Jo
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numba import njit, uint64
-from numba.cpython.unsafe.numbers import trailing_zeros
 
 from testbed import frames
 from testbed.columns import Array
 from testbed.protocols import Crossings, Obstruction
 from testbed.scene import Scene
-from worlds.boxtree import WIDTH, Forest, forest
-
-SURFACE = 1e-9  # m: less than this inside a box is touching, not crossing
-_PARALLEL = 1e100  # stands for 1 / 0 in the slab test; finite, so that 0 times it is 0
+from worlds.boxtree import Forest, forest
+from worlds.ray_kernels import CHUNK, GROUP, SURFACE, Result, Workspace, cast, place_balls
 
 
 class BoxCaster:
@@ -67,14 +61,26 @@ class BoxCaster:
         segment, first = np.repeat(np.arange(len(start)), total), np.cumsum(total) - total
         box, enter, length = np.empty(len(segment), dtype=np.int64), np.empty(len(segment)), np.empty(len(segment))
         for (trees, where), before in zip(both, (0, counts[0]), strict=True):
-            _cast(trees, self._entry, self._per_metre, start, end, *where, first + before, box, enter, length)
+            self._cast(trees, start, end, *where, first + before, box, enter, length)
         order = np.lexsort((box, enter, segment))
         return Crossings(segment=segment, box=box[order], enter=enter[order], length=length[order])
 
     def _count(self, trees: Forest, start: Array, end: Array, poses: Array, instant: Array) -> Obstruction:
-        nowhere = np.zeros(0, dtype=np.int64)
-        count, loss = _cast(trees, self._entry, self._per_metre, start, end, poses, instant, nowhere, nowhere, np.zeros(0), np.zeros(0))
-        return Obstruction(count=count, loss=loss)
+        nothing = np.zeros(0, dtype=np.int64)
+        found = self._cast(trees, start, end, poses, instant, nothing, nothing, np.zeros(0), np.zeros(0))
+        return Obstruction(count=found.counts, loss=found.losses)
+
+    def _cast(self, trees: Forest, start: Array, end: Array, poses: Array, instant: Array, *listing: Array) -> Result:
+        lanes = len(trees.ball)
+        work = Workspace(
+            centre=np.zeros(len(poses) * 3 * lanes),
+            near=np.zeros((CHUNK, -(-lanes // GROUP)), dtype=np.int64),
+            leaves=np.zeros(len(trees.frame), dtype=np.int64),
+        )
+        place_balls(trees.ball, poses, work.centre)
+        result = Result(np.zeros(len(start), dtype=np.int32), np.zeros(len(start)), *listing)
+        cast(trees, self._entry, self._per_metre, start, end, poses, instant, work, result)
+        return result
 
     def inside(self, point: Array) -> Array:
         """(N,) int64: the first box of the scene, of those that never move, that holds each of `point` (N, 3); -1 for none.
@@ -142,183 +148,3 @@ def checked_poses(poses: Array, instant: Array, segments: int, bodies: int) -> t
 def _still(segments: int) -> tuple[Array, Array]:
     """Pose and instants of the one body that all standing boxes belong to: the world."""
     return frames.IDENTITY.reshape(1, 1, 7).copy(), np.zeros(segments, dtype=np.int64)
-
-
-# ---------------------------------------------------------------- kernels
-#
-# Blocks are addressed by unsigned offsets into flat arrays. An index that could be negative would be wrapped around like
-# Python's, and a view of a block would be counted by the garbage collector: either costs more than the arithmetic.
-
-_LANES, _BLOCK = uint64(WIDTH), uint64(6 * WIDTH)
-_lowest: Any = trailing_zeros  # place of the lowest bit that is set
-_CHUNK = 1024  # segments
-_HIGH = uint64(3 * WIDTH)  # from a low face's row to the high one's
-
-
-@njit(cache=True)
-def _axis(start, end, length):
-    """Along one axis: origins for near and far faces, metres of segment per metre of axis, offsets of near and far faces."""
-    way = end - start
-    if abs(way) < SURFACE:
-        return start - SURFACE, start + SURFACE, _PARALLEL, uint64(0), _HIGH
-    if way > 0.0:
-        return start, start, length / way, uint64(0), _HIGH
-    return start, start, length / way, _HIGH, uint64(0)
-
-
-@njit(cache=True)
-def _crossed(blocks, block, ray, length):
-    """Which lanes of a block the segment crosses, as bits."""
-    (ax, bx, ix, near_x, far_x), (ay, by, iy, near_y, far_y), (az, bz, iz, near_z, far_z) = ray
-    x = uint64(block) * _BLOCK
-    y, z = x + _LANES, x + _LANES + _LANES
-    bits = 0
-    for lane in range(WIDTH):
-        j = uint64(lane)
-        a, b, c = (blocks[x + near_x + j] - ax) * ix, (blocks[y + near_y + j] - ay) * iy, (blocks[z + near_z + j] - az) * iz
-        enter = a if a > b else b
-        enter = enter if enter > c else c
-        enter = enter if enter > 0.0 else 0.0
-        a, b, c = (blocks[x + far_x + j] - bx) * ix, (blocks[y + far_y + j] - by) * iy, (blocks[z + far_z + j] - bz) * iz
-        leave = a if a < b else b
-        leave = leave if leave < c else c
-        leave = leave if leave < length else length
-        bits |= (1 << lane) if leave - enter > SURFACE else 0
-    return bits
-
-
-@njit(cache=True)
-def _interval(blocks, block, lane, ray, length):
-    """Where the segment enters one lane of a block, and how much lies inside: the arithmetic of `_crossed`."""
-    (ax, bx, ix, near_x, far_x), (ay, by, iy, near_y, far_y), (az, bz, iz, near_z, far_z) = ray
-    x = uint64(block) * _BLOCK + uint64(lane)
-    y, z = x + _LANES, x + _LANES + _LANES
-    enter = max((blocks[x + near_x] - ax) * ix, (blocks[y + near_y] - ay) * iy, (blocks[z + near_z] - az) * iz, 0.0)
-    leave = min((blocks[x + far_x] - bx) * ix, (blocks[y + far_y] - by) * iy, (blocks[z + far_z] - bz) * iz, length)
-    return enter, leave - enter
-
-
-@njit(cache=True)
-def _rotated(w, i, j, k, x, y, z):
-    """The vector (x, y, z) rotated by the unit quaternion (w, i, j, k); with -w for w, rotated back."""
-    u, v, t = 2 * (j * z - k * y), 2 * (k * x - i * z), 2 * (i * y - j * x)
-    return x + w * u + j * t - k * v, y + w * v + k * u - i * t, z + w * t + i * v - j * u
-
-
-@njit(cache=True)
-def _near(centre, radius_squared, start, end, instant, near):
-    """Writes into `near` (N, groups of 32 bodies) the bodies whose ball each segment meets, as bits.
-
-    A pass of its own: so small a loop stays in registers.
-    """
-    lanes = len(radius_squared)
-    for i in range(len(start)):
-        origin = start[i, 0], start[i, 1], start[i, 2]
-        way = end[i, 0] - start[i, 0], end[i, 1] - start[i, 1], end[i, 2] - start[i, 2]
-        for group in range(near.shape[1]):
-            near[i, group] = _meets(centre, radius_squared, instant[i] * 3 * lanes, lanes, 32 * group, origin, way)
-
-
-@njit(cache=True)
-def _centres(ball, poses, lanes):
-    """(Q * 3 * lanes,): x, then y, then z of the centre of each body's ball in the world, for each instant."""
-    centre = np.zeros(poses.shape[0] * 3 * lanes)
-    for q in range(poses.shape[0]):
-        for m in range(poses.shape[1]):
-            p, at = poses[q, m], q * 3 * lanes + m
-            x, y, z = _rotated(p[3], p[4], p[5], p[6], ball[m, 0], ball[m, 1], ball[m, 2])
-            centre[at], centre[at + lanes], centre[at + 2 * lanes] = p[0] + x, p[1] + y, p[2] + z
-    return centre
-
-
-@njit(cache=True)
-def _meets(centre, radius_squared, first, lanes, body, origin, way):
-    """Which of up to 32 bodies from `body` on have a ball that the segment meets, as bits."""
-    (ox, oy, oz), (dx, dy, dz) = origin, way
-    x, y, z = uint64(first + body), uint64(first + lanes + body), uint64(first + 2 * lanes + body)
-    squared = dx * dx + dy * dy + dz * dz
-    bits = 0
-    for lane in range(min(32, lanes - body)):
-        j = uint64(lane)
-        a, b, c = centre[x + j] - ox, centre[y + j] - oy, centre[z + j] - oz
-        along, beyond = a * dx + b * dy + c * dz, a * a + b * b + c * c - radius_squared[uint64(body) + j]
-        nearest = along if along > 0.0 else 0.0  # times the segment's length: where on it the centre is nearest
-        nearest = nearest if nearest < squared else squared
-        bits |= (1 << lane) if beyond * squared <= nearest * (along + along - nearest) else 0
-    return bits
-
-
-@njit(cache=True)
-def _leaf_ray(rotation, frame, ray, a, b, length):
-    """The ray in a leaf's frame, whose axes are the columns of `rotation[frame]`; frame 0 is the body's own."""
-    if frame == 0:
-        return ray
-    r = rotation[frame]
-    return (
-        _axis(r[0, 0] * a[0] + r[1, 0] * a[1] + r[2, 0] * a[2], r[0, 0] * b[0] + r[1, 0] * b[1] + r[2, 0] * b[2], length),
-        _axis(r[0, 1] * a[0] + r[1, 1] * a[1] + r[2, 1] * a[2], r[0, 1] * b[0] + r[1, 1] * b[1] + r[2, 1] * b[2], length),
-        _axis(r[0, 2] * a[0] + r[1, 2] * a[1] + r[2, 2] * a[2], r[0, 2] * b[0] + r[1, 2] * b[1] + r[2, 2] * b[2], length),
-    )
-
-
-@njit(cache=True)
-def _leaves(trees, body, ray, length, leaves):
-    """Writes the leaves of a body that the ray may cross boxes of into `leaves`; returns how many."""
-    tops, middles, middle_of, leaf_of = trees.top, trees.middle, trees.middle_of, trees.leaf_of
-    found = 0
-    for top in range(trees.first_top[body], trees.first_top[body + 1]):
-        bits = _crossed(tops, top, ray, length)
-        while bits:
-            middle = middle_of[uint64(top), uint64(_lowest(bits))]
-            bits &= bits - 1
-            middle_bits = _crossed(middles, middle, ray, length)
-            while middle_bits:
-                leaves[uint64(found)] = leaf_of[uint64(middle), uint64(_lowest(middle_bits))]
-                middle_bits &= middle_bits - 1
-                found += 1
-    return found
-
-
-@njit(cache=True)
-def _cast(trees, entry, per_metre, start, end, poses, instant, first, box, enter, inside):
-    """Count and loss of each segment; where `first` isn't empty, also every crossing, from place first[i] on."""
-    count, loss = np.zeros(len(start), dtype=np.int32), np.zeros(len(start))
-    leaves = np.empty(len(trees.frame), dtype=np.int64)
-    lanes = (len(trees.ball) + 7) // 8 * 8  # whole vector registers; nothing meets the ball of a body that isn't
-    radius_squared = np.full(lanes, -1.0)
-    radius_squared[: len(trees.ball)] = trees.ball[:, 3]
-    centre = _centres(trees.ball, poses, lanes)
-    near = np.zeros((_CHUNK, (lanes + 31) // 32), dtype=np.int64)
-    for i in range(len(start)):
-        if i % _CHUNK == 0:
-            some = slice(i, i + _CHUNK)
-            _near(centre, radius_squared, start[some], end[some], instant[some], near)
-        q, found, total = uint64(instant[i]), 0, 0.0
-        for group in range(near.shape[1]):
-            bodies = near[uint64(i % _CHUNK), uint64(group)]
-            while bodies:
-                body = 32 * group + _lowest(bodies)
-                bodies &= bodies - 1
-                p = poses[q, uint64(body)]
-                ox, oy, oz, ex, ey, ez = start[i, 0], start[i, 1], start[i, 2], end[i, 0], end[i, 1], end[i, 2]
-                length = np.sqrt((ex - ox) ** 2 + (ey - oy) ** 2 + (ez - oz) ** 2)
-                if length <= SURFACE:
-                    break
-                a = _rotated(-p[3], p[4], p[5], p[6], ox - p[0], oy - p[1], oz - p[2])
-                b = _rotated(-p[3], p[4], p[5], p[6], ex - p[0], ey - p[1], ez - p[2])
-                ray = (_axis(a[0], b[0], length), _axis(a[1], b[1], length), _axis(a[2], b[2], length))
-                for leaf in leaves[: _leaves(trees, body, ray, length, leaves)]:
-                    own = _leaf_ray(trees.rotation, trees.frame[uint64(leaf)], ray, a, b, length)
-                    bits = _crossed(trees.leaf, leaf, own, length)
-                    while bits:
-                        lane = _lowest(bits)
-                        bits &= bits - 1
-                        which = uint64(trees.box_of[uint64(leaf), uint64(lane)])
-                        at, through = _interval(trees.leaf, leaf, lane, own, length)
-                        total += entry[which] + per_metre[which] * through
-                        if len(first):
-                            k = uint64(first[uint64(i)] + found)
-                            box[k], enter[k], inside[k] = which, at, through
-                        found += 1
-        count[i], loss[i] = found, total
-    return count, loss
