@@ -196,14 +196,16 @@ class _Work:
         except BAD_INPUT:
             raise
         except Exception as error:
-            if len(trials) == 1:
-                self._fail(numbers[0], section.id, "estimate", error)
-                return {}
-            before = len(self.failures)
-            alone = [self.estimated(scenario, section, [trial]) for trial in trials]
-            if len(self.failures) == before:
-                self.notes.append(f"{section.id} fails on trials {numbers[0]} to {numbers[-1]} together and on none alone: {_said(error)}")
-            return {number: track for found in alone for number, track in found.items()}
+            together = error
+        # outside of the handler, so that a trial's own traceback does not carry that of all together
+        if len(trials) == 1:
+            self._fail(numbers[0], section.id, "estimate", together)
+            return {}
+        before = len(self.failures)
+        alone = [self.estimated(scenario, section, [trial]) for trial in trials]
+        if len(self.failures) == before:
+            self.notes.append(f"{section.id} fails on trials {numbers[0]} to {numbers[-1]} together and on none alone: {_said(together)}")
+        return {number: track for found in alone for number, track in found.items()}
 
     def _tracks(self, scenario: Scenario, section: Section, trials: list[Trial]) -> dict[int, Track]:
         recordings = [trial.recording for trial in trials]
