@@ -14,10 +14,10 @@ ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.study
 
 
-def checked(*words, cwd, **more):
+def checked(*words, cwd, codes=(0,)):
     clean = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
-    done = subprocess.run([*map(str, words)], cwd=cwd, capture_output=True, text=True, env=clean, **more)
-    assert done.returncode == 0, f"{words}: {done.returncode}\n{done.stdout}\n{done.stderr}"
+    done = subprocess.run([*map(str, words)], cwd=cwd, capture_output=True, text=True, env=clean)
+    assert done.returncode in codes, f"{words}: {done.returncode}\n{done.stdout}\n{done.stderr}"
     return done.stdout
 
 
@@ -47,11 +47,13 @@ def test_the_wheel_holds_four_packages_and_nothing_else(wheel):
 
 
 def test_a_scenario_runs_by_name_from_another_folder(installed, tmp_path):
-    out = checked(installed / "testbed", "run", "empty-floor", "--trials", "2", "--json", cwd=tmp_path)
+    # two trials are too few for what the scenario claims of its means: exit 1 is as good as 0 here
+    out = checked(installed / "testbed", "run", "dock-gate", "--trials", "2", "--json", cwd=tmp_path, codes=(0, 1))
     document = json.loads(out)  # nothing but the document is on stdout
     assert document["trials"] == 2
+    assert not document["failures"]
     assert document["points"][0]["estimators"]["ekf"]["position_error_m"]["n"] == 2
-    assert (tmp_path / "runs" / "empty-floor" / "trials.parquet").is_file()
+    assert (tmp_path / "runs" / "dock-gate" / "report.html").is_file()
 
 
 def test_the_doctor_finds_nothing_broken(installed, tmp_path):
