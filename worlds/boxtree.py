@@ -17,10 +17,10 @@ import numpy as np
 from testbed import frames
 from testbed.columns import Array
 from testbed.geometry import Boxes
+from worlds.ray_kernels import WIDTH
 
-WIDTH = 16  # lanes a block: four vector registers of four doubles
 UNUSED = -1
-_NOWHERE = 1e30  # m: an unused lane's low faces are there and its high faces at the negative, so no line is between them
+_NOWHERE = 1e30  # m: an unused lane is a point out there
 _SLACK = 1e-6  # m: bounds across a rotation, and spheres, are wider by this, which covers rounding
 
 
@@ -109,7 +109,6 @@ def _layer(low: Array, high: Array, first: int = 0) -> _Layer:
     """Packs n things with bounds (n, 3) into blocks; thing i is called `first` + i."""
     groups = list(_split(np.arange(len(low)), low, high)) if len(low) else []
     block = np.full((len(groups), 6, WIDTH), _NOWHERE)
-    block[:, 3:] = -_NOWHERE
     member = np.full((len(groups), WIDTH), UNUSED, dtype=np.int64)
     for k, group in enumerate(groups):
         block[k, :3, : len(group)], block[k, 3:, : len(group)] = low[group].T, high[group].T

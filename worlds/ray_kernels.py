@@ -15,8 +15,8 @@ from numba import njit, uint64
 from numba.cpython.unsafe.numbers import trailing_zeros
 
 from testbed.columns import Array
-from worlds.boxtree import WIDTH
 
+WIDTH = 16  # lanes a block: four vector registers of four doubles. Here and not in boxtree: compiled code is kept until this file changes
 SURFACE = 1e-9  # m: less than this inside a box is touching, not crossing
 CHUNK = 1024  # segments whose near bodies are looked for together
 GROUP = 32  # bodies whose nearness is kept in one number

@@ -6,9 +6,9 @@ parallel to the faces across that axis, and must lie deeper than `SURFACE` behin
 nothing. Where a segment starts or ends inside, the part inside counts, entered at 0 m. A segment no longer than `SURFACE`
 crosses nothing. The loss of a crossing is entry_db + per_metre_db * length inside, by the box's material.
 
-How it is fast. Boxes lie packed in blocks (`worlds.boxtree`) whose lanes are tested together, in a loop over slices that the
-compiler turns into vector instructions. Near and far faces are picked once a segment, by the signs of its direction. Bounds
-round as their boxes do, so that no crossing is lost to them.
+How it is fast. Boxes lie packed in blocks (`worlds.boxtree`) whose lanes are tested together, in a loop of constant length that
+the compiler turns into vector instructions (`worlds.ray_kernels`). Near and far faces are picked once a segment, by the signs of
+its direction. Bounds round as their boxes do, so that no crossing is lost to them.
 
 A. Williams et al., "An efficient and robust ray-box intersection algorithm", Journal of Graphics Tools 10 (2005).
 """

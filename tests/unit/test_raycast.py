@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from testbed import frames
 from testbed.geometry import WORLD, Boxes
 from testbed.scene import Body, Scene
-from worlds.boxtree import WIDTH, forest
-from worlds.raycast import SURFACE, BoxCaster
+from worlds.boxtree import forest
+from worlds.ray_kernels import SURFACE, WIDTH
+from worlds.raycast import BoxCaster
 
 IDENTITY = frames.IDENTITY
 ENTRY, PER_METRE = np.array([3.0, 1.0]), np.array([10.0, 0.0])
@@ -71,6 +72,9 @@ def test_only_the_part_between_the_ends_counts():
         ((-2, 0.5, 0), (2, 0.5, 0)),  # runs within a face
         ((-2, 0.5, 0.5), (2, 0.5, 0.5)),  # runs along an edge
         ((-2, 0.5, 0), (2, 0.5 + 1e-10, 0)),  # within a face but for rounding
+        ((-2, 0.5 - 2e-10, 0), (2, 0.5 - 2e-10, 0)),  # the same on the other side
+        ((-2, 0.5 - 1e-10, 0), (2, 0.5 - 3e-10, 0)),  # the same, not quite parallel
+        ((-2, 0, 0), (-0.5 + 5e-10, 0, 0)),  # ends in a face but for rounding
         ((0, 1, 0), (1, 0, 0)),  # touches an edge
         ((1.5, 0, 0), (0, 1.5, 1.5 - 1e-12)),  # touches a corner
         ((0.2, 0.2, 0.2), (0.2, 0.2, 0.2)),  # is a point inside
