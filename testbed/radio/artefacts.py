@@ -12,7 +12,7 @@
 | rows | `latency_s` late, and a share `late_probability` of them later by up to `late_s`, so that they arrive out of order |
 
 Figures: the specification's, from public logs of an R420 and an FX7500 (static tags: circular standard deviation of the phase
-0.005-0.1 rad; RSSI spread 0.2-0.5 dB within a carrier, 0.4-1.9 dB between carriers; Doppler 7-18 Hz).
+0.005-0.1 rad; RSSI spread 0.2-0.5 dB within a carrier, 0.4-1.9 dB between carriers, the channel's own part included; Doppler 7-18 Hz).
 
 Left out: offsets that drift with temperature or change when the reader restarts, saturation near by, errors that depend on the
 tag's own modulation, correlation of noise from read to read.
@@ -49,7 +49,7 @@ class ArtefactsConfig(Config):
     phase_wrapped: bool = True  # as the reader reports it; off: modulo 2π, positive sign
     phase_steps: Annotated[int, Field(ge=0, le=1 << 20)] | None = None
     rssi_noise_db: Annotated[Decibels, Field(ge=0, le=20)] = 0.3
-    rssi_channel_db: Annotated[Decibels, Field(ge=0, le=20)] = 0.8
+    rssi_channel_db: Annotated[Decibels, Field(ge=0, le=20)] = 0.5
     rssi_step_db: Annotated[Decibels, Field(ge=0, le=10)] | None = None
     doppler_noise_hz: Annotated[Hertz, Field(ge=0, le=1000)] = 7.0
     doppler_step_hz: Annotated[Hertz, Field(ge=0, le=100)] | None = None

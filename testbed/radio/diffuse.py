@@ -39,7 +39,7 @@ from testbed.units import SPEED_OF_LIGHT
 OPEN_K = 10.0  # 10 dB: line of sight in large industrial halls, Rappaport, IEEE Trans. Antennas Propag. 37 (1989): 4-12 dB
 FALL = 1.5  # exponent of the share that is clear: 3-6 dB for shares of 1/3 to 1/2
 WAVES = 24  # a sum of so many is Gaussian to 1/24 in its fourth moment
-DELAY = 10e-9  # s, mean excess delay: ways about 3 m longer, as between the racks and floor near a link of a few metres
+DELAY = 5e-9  # s, mean excess delay, ways 1.5 m longer: with it RSSI at one place spreads by 0.4-2 dB over 50 FCC carriers, as in logs
 STIR, REACH = 0.8, 2.5  # share of the field by way of a body in the line; m by which the way over a body is longer when it is out of it
 
 
