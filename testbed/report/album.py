@@ -23,6 +23,7 @@ from testbed.report.traces import Trace, traces
 MOST = 8  # pictures of one recording in a page: `testbed render` writes them all
 QUALITY = 82  # of WebP
 ELLIPSES = 4  # along each track
+FRAMES = 36  # of the animation: it must not take longer than all the rest
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ def _filled(case: Case, cameras: Sequence[CameraSpec], renderer: Renderer, lines
         taken = shots.capture(case.trial, case.scene, cameras, renderer)
     found = [_still(shot, lines) for shot in list(taken.values())[:MOST]]
     if moving:
-        content = animate(case.trial, case.scene, cameras[0], renderer, lines)
+        content = animate(case.trial, case.scene, cameras[0], renderer, lines, frames=FRAMES)
         text = f"The whole trial of {case.duration:g} s as the camera {cameras[0].id} sees it, over and over."
         found.append(_picture("In motion", text, content))
     more = len(taken) - MOST

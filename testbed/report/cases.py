@@ -22,6 +22,7 @@ from testbed.scene import Scene
 from testbed.types import POSITION, Antennas, Reads, Track
 
 MOST_TARGETS = 3
+WIDE = 1.45
 MOST_ANTENNAS = 12
 TRUTH_HZ, MOST_INSTANTS = 10.0, 3001
 
@@ -89,6 +90,12 @@ class Case:
     def duration(self) -> float:
         """s"""
         return self.trial.recording.duration
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether the hall is so much wider than deep that its plan wants the whole width of a page."""
+        x, y = np.ptp(np.asarray(self.scene.bounds)[:, :2], axis=0)
+        return bool(x > WIDE * y)
 
     @property
     def reads(self) -> Reads:

@@ -29,6 +29,7 @@ from testbed.columns import Array
 from testbed.report import palette
 
 WIDTH = 7.2  # inches
+FULL = 10.8  # the whole of a page
 DPI = 72  # matplotlib's SVG counts in points
 DASHES = ("-", (0, (5, 1.5)), (0, (6, 1.5, 1, 1.5)), (0, (1.2, 1.2)), (0, (4, 1, 1, 1, 1, 1)), (0, (8, 3)))
 MARKERS = ("o", "s", "^", "D", "v", "P")

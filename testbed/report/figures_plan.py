@@ -15,7 +15,7 @@ from testbed.columns import Array
 from testbed.report import palette, plan
 from testbed.report.amounts import counted, listed
 from testbed.report.cases import Case
-from testbed.report.figures import LAYER, Drawing, Styles, dots, drawing, frame_of, legend, new, settle, shape, shorten, styled
+from testbed.report.figures import FULL, LAYER, Drawing, Styles, dots, drawing, frame_of, legend, new, settle, shape, shorten, styled
 from testbed.report.labels import Label, around, place
 from testbed.report.plan import Footprint
 
@@ -25,7 +25,7 @@ MARGIN, BEYOND = 0.4, 0.25  # m round the hall; of the hall's size, how far trac
 ELLIPSES = 6  # along each track
 MARK = 3.5  # points
 TOGETHER = 0.3  # m: antennas nearer to each other than this have one mark
-WIDTH, TALLEST = 6.2, 7.0  # inches: half a page, so that the letters have the page's own size
+HALF, TALLEST = 6.2, 7.0  # inches: half a page, so that the letters have the page's own size
 
 
 @styled
@@ -33,10 +33,11 @@ def floor_plan(case: Case, styles: Styles, name: str, where: str) -> Drawing:
     """The plan. `where` says which trial it is. Its layers: e0, e1, ... the tracks, b0, ... their ellipses, in the styles' order."""
     low, high = _extent(case)
     wide, tall = high - low
-    inner = WIDTH - 0.75
+    width = FULL if case.is_wide else HALF
+    inner = width - 0.75
     height = min(TALLEST, inner * tall / wide + 1.1)
     title = "Plan: where things were, and where they were said to be"
-    figure = new(height, title, WIDTH)
+    figure = new(height, title, width)
     axes = figure.add_subplot()
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])

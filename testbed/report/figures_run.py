@@ -176,8 +176,10 @@ def _bars(axes: Axes, there: Sequence[tuple[float, Summary]], shift: float, colu
 
 def _sweep_caption(study: Study, shown: int, groups: int) -> str:
     n = [s.statistics[study.main].n for s in study.summaries] if study.main else []
-    said = [f"Means over trials ({min(n, default=0)} to {max(n, default=0)} of them a point) with 95 % confidence intervals (Student's t)."]
-    if max(n, default=0) < 2:
+    fewest, most = min(n, default=0), max(n, default=0)
+    count = f"{fewest} to {most}" if fewest < most else f"{most}"
+    said = [f"Means over trials ({count} a point) with 95 % confidence intervals (Student's t)."]
+    if most < 2:
         said = ["One trial a point: there are no intervals."]
     if groups > shown:
         said.append(f"{groups - shown} more combinations are in the tables.")

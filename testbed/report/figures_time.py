@@ -16,6 +16,7 @@ from testbed.report import palette
 from testbed.report.amounts import counted, listed
 from testbed.report.cases import Aim, Case, Line
 from testbed.report.figures import (
+    FULL,
     Drawing,
     Styles,
     dots,
@@ -53,7 +54,7 @@ def error_over_time(case: Case, styles: Styles, name: str, where: str) -> Drawin
         return None
     heights = [h for aim in case.aims for h in (1.75, 0.155 * max(3, len(aim.antennas)) + 0.1)]
     title = "Position error, and when antennas saw and read the target"
-    figure = new(sum(heights) + 0.55 * len(case.aims) + 0.6, title, NARROW)
+    figure = new(sum(heights) + 0.55 * len(case.aims) + 0.6, title, FULL if case.is_wide else NARROW)
     grid = figure.subplots(len(heights), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights})[:, 0]
     for aim, above, below in zip(case.aims, grid[::2], grid[1::2], strict=True):
         _errors(above, aim, styles)
@@ -160,7 +161,7 @@ def signal_strength(case: Case, name: str, where: str) -> Drawing | None:
     columns = min(COLUMNS, len(antennas))
     rows = -(-len(antennas) // columns)
     title = "Signal strength (RSSI) of the target's reads over time, by antenna"
-    figure = new(1.05 * rows + 0.95, title)
+    figure = new(1.05 * rows + 1.1, title)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     low, high = np.nanmin(rssi) - 2.0, np.nanmax(rssi) + 2.0
     for axes, antenna in zip(grid.flat, antennas, strict=False):
@@ -172,7 +173,6 @@ def signal_strength(case: Case, name: str, where: str) -> Drawing | None:
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.yaxis.set_major_locator(MaxNLocator(4))
     _outer_only(grid, len(antennas))
-    figure.supxlabel("time (s)", fontsize=9)
     figure.supylabel("RSSI (dBm)", fontsize=9)
     if len(case.aims) > 1:
         legend(figure, [_dot(aim.name, TARGET_COLOURS[k]) for k, aim in enumerate(case.aims)])
@@ -196,6 +196,7 @@ def _outer_only(grid: Array, used: int) -> None:
         axes.set_visible(i < used)
         is_last = i + columns >= used
         axes.tick_params(labelbottom=is_last, labelleft=i % columns == 0)
+        axes.set_xlabel("time (s)" if is_last else "")
 
 
 def _dot(label: str, colour: str) -> Line2D:

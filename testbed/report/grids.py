@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from testbed.evaluate import Interval, Summary, metric_columns
-from testbed.report.amounts import NOTHING, interval, limits, number, seconds
+from testbed.report.amounts import NOTHING, counted, interval, limits, number, seconds
 from testbed.report.figures_run import spelled
 from testbed.report.study import Study
 
@@ -77,7 +77,7 @@ def results(study: Study, point: int) -> Grid:
     shown = [c for c in RESULTS if any(c in s.statistics and math.isfinite(s.statistics[c].mean) for s in here)]
     rows = [(Cell(*_named(c)), *(mean_cell(s.statistics.get(c), is_share(c), _honest(s, c)) for s in here)) for c in shown]
     rows.append((Cell("wall time per update", ("of this machine",)), *(_wall(study.wall.get((point, s.estimator))) for s in here)))
-    rows.append((Cell("trials"), *(_trials(s) for s in here)))
+    rows.append((Cell("trials"), *(_trials(s, study.main) for s in here)))
     heads = (Head("", number=False), *(Head(s.estimator) for s in here))
     return Grid(f"Results{_at(study, point)}: mean over trials ± standard error, and under it the 95 % interval", heads, tuple(rows))
 
@@ -97,10 +97,11 @@ def _honest(summary: Summary, column: str) -> tuple[str, ...]:
     return (f"χ² limits {limits(low, high)}: {side}",)
 
 
-def _trials(summary: Summary) -> Cell:
-    missing = max(summary.missing.values(), default=0)
-    n = max((i.n for i in summary.statistics.values()), default=0)
-    return Cell(f"{n:,}", (f"{missing} rows lack a value",) if missing else ())
+def _trials(summary: Summary, main: str | None) -> Cell:
+    """How many trials the main figure is the mean of, and how many (trial, target) rows have none."""
+    n = max((i.n for i in summary.statistics.values()), default=0) if main is None else summary.statistics[main].n
+    missing = 0 if main is None else summary.missing[main]
+    return Cell(f"{n:,}", (f"{counted(missing, 'row')} without a value",) if missing else ())
 
 
 def _wall(found: Interval | None) -> Cell:

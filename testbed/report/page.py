@@ -47,6 +47,7 @@ class Shown:
     figures: tuple[Drawing, ...]
     album: tuple[Picture, ...]
     no_album: str
+    is_wide: bool = False
     targets: tuple[str, ...] = ()
     estimators: tuple[tuple[str, str], ...] = ()
     data: str = ""
@@ -237,6 +238,7 @@ def _shown(case: Case, study: Study, styles: Styles, index: int) -> Shown:
     content = player.data(case, styles, plan, errors)
     return replace(
         shown,
+        is_wide=case.is_wide,
         targets=tuple(aim.name for aim in case.aims),
         estimators=tuple((one["id"], one["colour"]) for one in content["estimators"]),
         data=player.text(content),

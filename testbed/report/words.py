@@ -39,8 +39,8 @@ def _setting(study: Study, document: dict[str, Any], trials: int) -> str:
     names = list(study.estimators)
     by = f"{counted(len(names), 'estimator')} ({listed(names)})" if names else "no estimator"
     where = f" at each of {len(study.sets)} points of a sweep" if len(study.sets) > 1 else ""
-    started = "was" if trials == 1 else "were"
-    text = f"{counted(trials, 'trial')}{length}{where} {started} simulated from seed {study.manifest['seed']} and tracked by {by}."
+    begun = ("was" if trials == 1 else "were") + (" simulated" if study.summaries else " to be simulated")
+    text = f"{counted(trials, 'trial')}{length}{where} {begun} from seed {study.manifest['seed']} and tracked by {by}."
     return capital(text)
 
 
@@ -93,7 +93,7 @@ def commands(study: Study) -> list[str]:
     words = [str(w) for w in study.manifest.get("command", [])]
     folder = study.folder.name or "RUN"
     first = "# it was started from Python with testbed.run; the scenario below is all that it needs"
-    if words and words[0] != "testbed.run":
+    if len(words) > 1:  # a program and what it was told
         program = "python -m testbed" if words[0].endswith("__main__.py") else Path(words[0]).name
         first = f"{program} {shlex.join(words[1:])}".strip()
     trial = study.recordings[0].trial if study.recordings else 0

@@ -43,6 +43,7 @@ def test_the_wheel_holds_four_packages_and_nothing_else(wheel):
     tops = {name.split("/")[0] for name in names if ".dist-info" not in name}
     assert tops == {"testbed", "worlds", "estimators", "scenarios"}
     assert "scenarios/demo/dock-gate.yaml" in names
+    assert {f"testbed/report/template/{name}" for name in ("report.html", "report.css", "player.js")} <= set(names)
     assert any(name.endswith("licenses/LICENSE") for name in names)
 
 

@@ -123,7 +123,6 @@
     link: make("path", { class: "link" }, plan.layer),
     carried: make("path", { class: "carried" }, plan.layer),
     bodies: bodies.map(() => make("path", { class: "body" }, plan.layer)),
-    truth: targets.map(() => make("path", { class: "truth", d: MARKS.o(4.2) }, plan.layer)),
     lines: estimators.map((e) =>
       targets.map((_, k) => {
         const group = make("g", { class: "estimate", "data-estimator": e.id, "data-target": k, style: `color: ${e.colour}` }, plan.layer);
@@ -136,6 +135,8 @@
       }),
     ),
   };
+
+  drawn.truth = targets.map((_, k) => make("path", { class: "truth", "data-target": k, d: MARKS.o(3.4) }, plan.layer)); // over all others
 
   const panels = data.errors ? data.errors.panels : [];
   const curves = data.errors ? overlay(data.errors.figure, panels.map((p) => p.box), "inside") : null;

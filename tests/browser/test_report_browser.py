@@ -1,0 +1,438 @@
+"""The report as people meet it, in a headless browser: quiet, quick, complete, and the player shows what the recording holds."""
+
+import copy
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import testbed
+from testbed import archive
+from testbed.report import cases, study, write
+from testbed.report.figures import Styles
+from testbed.report.figures_plan import floor_plan
+from testbed.report.figures_time import error_over_time
+
+CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"
+ARGUMENTS = [
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+]
+
+
+@pytest.fixture(scope="module")
+def browser():
+    api = pytest.importorskip("playwright.sync_api", reason="the tests in a browser need playwright: pip install playwright")
+    if not Path(CHROMIUM).exists():
+        pytest.skip("the tests in a browser need Chromium: apt-get install chromium")
+    with api.sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        yield found
+        found.close()
+
+
+class Visit:
+    """A page in a context of its own, with all that it asked for and said."""
+
+    def __init__(self, browser, path, **options):
+        self.requests, self.said = [], []
+        self.context = browser.new_context(viewport={"width": 1280, "height": 900}, **options)
+        self.context.route("**/*", self._asked)
+        self.page = self.context.new_page()
+        self.page.on("console", lambda message: self.said.append((message.type, message.text)))
+        self.page.on("pageerror", lambda error: self.said.append(("error", str(error))))
+        self.page.goto(Path(path).resolve().as_uri(), wait_until="load")
+
+    def _asked(self, route):
+        self.requests.append(route.request.url)
+        route.continue_()
+
+    def do(self, script, *arguments):
+        return self.page.evaluate(script, *arguments)
+
+    def wait(self, condition):
+        """Until a condition holds, five seconds at most; looked at from inside, for the page's policy forbids what playwright would do."""
+        held = self.do(
+            f"""() => new Promise((done) => {{
+              const began = performance.now();
+              const look = () => ({condition} ? done(true) : performance.now() - began > 5000 ? done(false) : setTimeout(look, 20));
+              look();
+            }})"""
+        )
+        assert held, condition
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        self.context.close()
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("demo") / "dock-gate"
+    testbed.run("dock-gate", trials=2, out=folder)
+    write(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def several(tmp_path_factory):
+    """A sweep with several targets, whose labels are in each other's way."""
+    document = copy.deepcopy(testbed.load("parked-only").document)
+    document |= {"sweep": {"report_hz": [4, 8]}, "cameras": [], "duration_s": 4}
+    folder = tmp_path_factory.mktemp("several") / "run"
+    testbed.run(document, trials=2, out=folder)
+    write(folder)
+    return folder
+
+
+@pytest.fixture
+def visit(browser, demo):
+    with Visit(browser, demo / "report.html") as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def first(demo):
+    """The recording in the player: its case, its tracks, its plan and its error figure."""
+    read = study.read(demo)
+    case = cases.load(read, read.recordings[0])
+    styles = Styles(read.estimators)
+    tracks = archive.load_tracks(read.recordings[0].folder)
+    return case, tracks, floor_plan(case, styles, "plan-0", ""), error_over_time(case, styles, "errors-0", "")
+
+
+CENTRE = """([selector, figure]) => {
+  const box = document.querySelector(selector).getBoundingClientRect(), svg = document.getElementById(figure);
+  const at = new DOMPoint(box.x + box.width / 2, box.y + box.height / 2).matrixTransform(svg.getScreenCTM().inverse());
+  const a = svg.getScreenCTM().a;
+  return [at.x, at.y, a];
+}"""
+
+
+def drawn_at(visit, figure, selector):
+    """Where the middle of an element is in the figure's own points, and how many pixels a point is."""
+    u, v, scale = visit.do(CENTRE, [selector, figure])
+    return np.array([u, v]), scale
+
+
+# ---------------------------------------------------------------- the whole page
+
+
+def test_it_says_nothing_on_the_console_and_asks_for_nothing(visit):
+    visit.do("testbedPlayer.seek(3)")
+    assert visit.said == []
+    assert [url for url in visit.requests if not url.startswith(("file:", "data:"))] == []
+    assert len([url for url in visit.requests if url.startswith("file:")]) == 1  # the page itself
+
+
+def test_the_policy_holds_even_against_the_page_itself(visit):
+    blocked = visit.do(
+        "fetch('https://example.org/').then(() => 'fetched', () => 'blocked')",
+    )
+    assert blocked == "blocked"
+    assert [url for url in visit.requests if "example.org" in url] == []
+
+
+def test_the_demos_report_is_at_most_4_mb_and_opens_within_2_seconds(browser, demo):
+    assert (demo / "report.html").stat().st_size <= 4_000_000
+    took = []
+    for _ in range(3):
+        with Visit(browser, demo / "report.html") as visit:
+            took.append(visit.do("performance.getEntriesByType('navigation')[0].loadEventEnd"))
+    assert min(took) <= 2000, took
+
+
+def test_every_image_has_a_size(visit):
+    sizes = visit.do(
+        "Promise.all([...document.images].map((i) => i.decode().then(() => [i.naturalWidth, i.naturalHeight, i.clientWidth, i.alt])))"
+    )
+    assert len(sizes) >= 2
+    for width, height, shown, alt in sizes:
+        assert width >= 200
+        assert height >= 150
+        assert shown >= 200
+        assert alt
+    figures = visit.do("[...document.querySelectorAll('svg.figure')].filter((s) => s.checkVisibility()).map((s) => s.clientHeight)")
+    assert len(figures) >= 5
+    assert min(figures) > 100
+
+
+OVERLAPS = """() => {
+  document.querySelectorAll('details').forEach((one) => (one.open = true));
+  const wrong = [];
+  for (const svg of document.querySelectorAll('svg.figure')) {
+    const whole = svg.getBoundingClientRect();
+    const texts = [...svg.querySelectorAll('text')].map((t) => [t.textContent.trim(), t.getBoundingClientRect()]).filter(([text]) => text);
+    texts.forEach(([text, box], i) => {
+      if (box.left < whole.left - 1 || box.right > whole.right + 1 || box.top < whole.top - 1 || box.bottom > whole.bottom + 1)
+        wrong.push(`${svg.id}: ${text} is cut`);
+      for (const [other, place] of texts.slice(0, i)) {
+        const x = Math.min(box.right, place.right) - Math.max(box.left, place.left);
+        const y = Math.min(box.bottom, place.bottom) - Math.max(box.top, place.top);
+        if (x > 1.5 && y > 3.0) wrong.push(`${svg.id}: ${text} lies on ${other}`);
+      }
+    });
+  }
+  return wrong;
+}"""
+
+
+def test_no_label_is_cut_or_lies_on_another(browser, demo, several):
+    for folder in (demo, several):
+        with Visit(browser, folder / "report.html") as visit:
+            assert visit.do("document.querySelectorAll('svg.figure text').length") > 100
+            assert visit.do(OVERLAPS) == []
+
+
+def test_a_label_that_lies_on_another_is_found(visit):
+    """The test above can fail."""
+    visit.do(
+        """() => {
+          const text = document.querySelector('#plan-0 text'), twin = text.cloneNode(true);
+          twin.textContent = 'twin'; text.parentNode.appendChild(twin);
+        }"""
+    )
+    assert any("twin lies on" in wrong for wrong in visit.do(OVERLAPS))
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_nothing_is_wider_than_the_window(browser, demo, width):
+    with Visit(browser, demo / "report.html") as visit:
+        visit.page.set_viewport_size({"width": width, "height": 800})
+        assert visit.do("document.documentElement.scrollWidth") <= width
+
+
+def test_without_scripts_everything_can_be_read(browser, demo):
+    with Visit(browser, demo / "report.html", java_script_enabled=False) as visit:
+        page = visit.page
+        text = page.inner_text("body")
+        for words in ("came nearest to the truth", "95 % interval", "Scripts are off", "What the models leave out", "ekf − ukf"):
+            assert words in text
+        assert page.locator("#plan-0").bounding_box()["height"] > 200
+        assert page.locator("#errors-0").bounding_box()["height"] > 150
+        assert not page.locator('[data-part="play"]').is_visible()
+        assert page.locator("img").first.bounding_box()["width"] > 200
+
+
+def test_on_paper_the_whole_trial_is_drawn_and_what_is_folded_away_opens(visit):
+    visit.do("testbedPlayer.seek(5)")
+    visit.page.emulate_media(media="print")
+    assert visit.do("getComputedStyle(document.querySelector('#plan-0 .live-layer')).display") == "none"
+    assert visit.do("getComputedStyle(document.querySelector('#plan-0 [data-layer=b0]')).display") == "inline"
+    assert visit.do("getComputedStyle(document.querySelector('#plan-0 [data-layer=e0]')).opacity") == "1"
+    assert not visit.page.locator('[data-part="play"]').is_visible()
+    opened = visit.do("() => { dispatchEvent(new Event('beforeprint')); return document.querySelectorAll('details:not([open])').length; }")
+    assert opened == 0
+    assert visit.do("() => { dispatchEvent(new Event('afterprint')); return document.querySelectorAll('details:not([open])').length; }") > 0
+    assert len(visit.page.pdf(format="A4")) > 10_000
+
+
+def test_a_dark_page_is_dark_and_its_ink_light(browser, demo):
+    with Visit(browser, demo / "report.html", color_scheme="dark") as visit:
+        paper, ink = visit.do(
+            """() => [getComputedStyle(document.documentElement).backgroundColor,
+                      getComputedStyle(document.querySelector('#plan-0 text')).fill]"""
+        )
+        assert max(int(c) for c in paper.removeprefix("rgb(").rstrip(")").split(",")) < 60
+        assert min(int(c) for c in ink.removeprefix("rgb(").rstrip(")").split(",")) > 180
+
+
+# ---------------------------------------------------------------- the player
+
+
+@pytest.mark.parametrize("t", [0.0, 3.7, 8.0, 16.0])
+def test_every_mark_is_drawn_where_its_track_is(visit, first, t):
+    """Within a pixel on the screen, between the file's own numbers and what the browser has drawn."""
+    case, tracks, plan, _ = first
+    frame = plan.frames[0]
+    visit.do("t => testbedPlayer.seek(t)", t)
+    checked = 0
+    for id, track in tracks.items():
+        k = round(t * 10)
+        assert track.t[k] == pytest.approx(t)
+        said = visit.do("id => testbedPlayer.position(id)", id)
+        if track.status[k, 0] == 2:
+            assert said == {"x": None, "y": None, "error": None, "status": "lost"}
+            assert not visit.page.locator(f'[data-estimator="{id}"][data-target="0"]').is_visible()
+            continue
+        x, y = track.mean[k, 0, :2]
+        assert (said["x"], said["y"]) == pytest.approx((x, y), abs=2e-3)
+        at, pixels = drawn_at(visit, "plan-0", f'g[data-estimator="{id}"][data-target="0"] .mark')
+        apart = (at - [frame.u0 + frame.u_scale * x, frame.v0 + frame.v_scale * y]) * pixels
+        assert np.abs(apart).max() <= 1.0, (id, apart)
+        checked += 1
+    assert checked >= 2
+    truth = case.trial.target_states(np.array([t]))[0, 0]
+    at, pixels = drawn_at(visit, "plan-0", '.live-layer .truth[data-target="0"]')
+    assert np.abs((at - [frame.u0 + frame.u_scale * truth[0], frame.v0 + frame.v_scale * truth[1]]) * pixels).max() <= 1.0
+
+
+def test_between_two_reports_a_mark_is_on_the_line_between_them(visit, first):
+    track = first[1]["ekf"]
+    visit.do("testbedPlayer.seek(5.05)")
+    said = visit.do("testbedPlayer.position('ekf')")
+    assert (said["x"], said["y"]) == pytest.approx(tuple(track.mean[50:52, 0, :2].mean(axis=0)), abs=2e-3)
+
+
+def test_the_ellipse_holds_95_percent(visit, first):
+    visit.do("testbedPlayer.seek(4)")
+    covariance = first[1]["ekf"].covariance[40, 0, :2, :2]
+    values, vectors = np.linalg.eigh(covariance)
+    scale = first[2].frames[0].u_scale
+    rx, ry, turn = visit.do(
+        """() => {
+          const ring = document.querySelector('g[data-estimator="ekf"] .ring');
+          const turn = ring.getAttribute('transform').match(/rotate\\((.*)\\)/)[1];
+          return [ring.getAttribute('rx'), ring.getAttribute('ry'), turn].map(Number);
+        }"""
+    )
+    assert (rx, ry) == pytest.approx(np.sqrt(5.991464547 * values[::-1]) * scale, abs=0.05)
+    along = np.array([np.cos(np.radians(turn)), -np.sin(np.radians(turn))])  # the page's y points down
+    assert abs(along @ vectors[:, 1]) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_the_error_curves_have_a_cursor_on_the_curve(visit, first):
+    case, _, _, errors = first
+    frame, line = errors.frames[0], case.aims[0].lines[0]
+    visit.do("testbedPlayer.seek(6.4)")
+    at, pixels = drawn_at(visit, "errors-0", '.live-layer .mark[data-estimator="ekf"]')
+    expected = [frame.u0 + frame.u_scale * 6.4, frame.v0 + frame.v_scale * line.error[64]]
+    assert np.abs((at - expected) * pixels).max() <= 1.0
+    readout = visit.page.inner_text('[data-part="readout"] tr:first-child')
+    assert f"{line.error[64]:.2f} m" in readout
+
+
+def test_links_are_lit_when_antennas_read(visit, first):
+    case = first[0]
+    reads, tag = case.aims[0].reads, case.aims[0].tags[0]
+    t = float(reads.t[len(reads) // 2])
+    visit.do("t => testbedPlayer.seek(t + 0.01)", t)
+    lit = visit.do("testbedPlayer.links()")
+    recent = (reads.t <= t + 0.01) & (reads.t > t + 0.01 - 0.12)
+    expected = {(str(case.antennas.id[a]), str(case.tagged.tags.id[tag])) for a in reads.antenna[recent]}
+    assert {(one["antenna"], one["tag"]) for one in lit} == expected
+    assert visit.do("document.querySelector('.live-layer .link:not(.other)').getAttribute('d')").count("M") == len(expected)
+    visit.page.get_by_label("reads of other tags").check()
+    others = case.reads.take((case.reads.t <= t + 0.01) & (case.reads.t > t + 0.01 - 0.12))
+    assert len(visit.do("testbedPlayer.links()")) == len(set(zip(others.antenna.tolist(), others.tag.tolist(), strict=True)))
+
+
+def test_an_estimator_can_be_hidden_everywhere(visit):
+    visit.do("testbedPlayer.seek(5)")
+    group = visit.page.locator('g[data-estimator="ekf"][data-target="0"]')
+    assert group.is_visible()
+    visit.page.get_by_role("checkbox", name="ekf").uncheck()
+    assert not group.is_visible()
+    assert not visit.page.locator('#plan-0 [data-layer="e0"]').first.is_visible()
+    assert not visit.page.locator('#errors-0 [data-layer="e0"]').first.is_visible()
+    assert visit.page.locator('#plan-0 [data-layer="e1"]').first.is_visible()
+    visit.page.get_by_role("checkbox", name="ekf").check()
+    assert group.is_visible()
+
+
+def test_keys_step_play_and_change_the_speed(visit):
+    page = visit.page
+    page.locator("#player").focus()
+    time = lambda: visit.do("testbedPlayer.time")  # noqa: E731
+    for key, expected in [
+        ("ArrowRight", 0.1),
+        ("Shift+ArrowRight", 1.1),
+        ("ArrowLeft", 1.0),
+        ("End", 16.0),
+        ("ArrowRight", 16.0),
+        ("Home", 0.0),
+        ("ArrowLeft", 0.0),
+    ]:
+        page.keyboard.press(key)
+        assert time() == pytest.approx(expected), key
+    page.keyboard.press("+")
+    assert visit.do("testbedPlayer.speed") == 2
+    page.keyboard.press("-")
+    page.keyboard.press("-")
+    assert visit.do("testbedPlayer.speed") == 0.5
+    assert page.locator('[data-part="speed"]').input_value() == "0.5"
+    page.keyboard.press("Space")
+    assert visit.do("testbedPlayer.playing")
+    assert page.locator('[data-part="play"]').inner_text() == "Pause"
+    visit.wait("testbedPlayer.time > 0.05")
+    page.keyboard.press("Space")
+    assert not visit.do("testbedPlayer.playing")
+
+
+def test_arrows_on_the_slider_step_like_anywhere_and_space_on_a_button_presses_it(visit):
+    visit.page.locator('[data-part="time"]').focus()
+    visit.page.keyboard.press("ArrowRight")
+    assert visit.do("testbedPlayer.time") == pytest.approx(0.1)
+    visit.page.locator('[data-part="play"]').focus()
+    visit.page.keyboard.press("Space")
+    assert visit.do("testbedPlayer.playing")
+
+
+def test_the_mouse_scrubs_and_a_click_on_the_curve_goes_there(visit, first):
+    page, frame = visit.page, first[3].frames[0]
+    page.locator('[data-part="time"]').fill("7.25")
+    assert visit.do("testbedPlayer.time") == pytest.approx(7.25)
+    assert "7.25 s of 16.00 s" in page.inner_text('[data-part="clock"]')
+    assert page.locator('[data-part="time"]').get_attribute("aria-valuetext") == "7.25 s"
+    box = page.locator("#errors-0").bounding_box()
+    scale = box["width"] / first[3].width
+    page.locator("#errors-0").click(position={"x": (frame.u0 + frame.u_scale * 4.0) * scale, "y": (frame.top + frame.bottom) / 2 * scale})
+    assert visit.do("testbedPlayer.time") == pytest.approx(4.0, abs=0.1)
+
+
+def test_playing_stops_at_the_end_and_begins_again_from_there(visit):
+    visit.do("testbedPlayer.setSpeed(16)")
+    visit.do("testbedPlayer.seek(15.9)")
+    visit.do("testbedPlayer.play()")
+    visit.wait("!testbedPlayer.playing")
+    assert visit.do("testbedPlayer.time") == 16
+    visit.do("testbedPlayer.play()")
+    assert visit.do("testbedPlayer.time") < 8
+
+
+def test_nothing_moves_by_itself_and_little_where_people_want_no_motion(browser, demo):
+    with Visit(browser, demo / "report.html", reduced_motion="reduce") as visit:
+        assert not visit.do("testbedPlayer.playing")
+        pictures = visit.do(
+            """() => new Promise((done) => {
+              const seen = new Set(), began = performance.now();
+              testbedPlayer.play();
+              const look = () => {
+                seen.add(testbedPlayer.time);
+                performance.now() - began < 1300 ? requestAnimationFrame(look) : done(seen.size);
+              };
+              look();
+            })"""
+        )
+        assert 2 <= pictures <= 4  # one each half second
+
+
+def test_everything_that_can_be_worked_has_a_name(visit):
+    nameless = visit.do(
+        """() => [...document.querySelectorAll('button, input, select, [role]')].filter((e) => e.checkVisibility()).filter((e) =>
+             !(e.getAttribute('aria-label') || e.getAttribute('aria-labelledby') || e.textContent.trim() || (e.labels && e.labels.length)))
+             .map((e) => e.outerHTML.slice(0, 80))"""
+    )
+    assert nameless == []
+
+
+def test_several_targets_each_have_marks_of_their_own(browser, several):
+    with Visit(browser, several / "report.html") as visit:
+        targets = visit.do("testbedPlayer.targets")
+        assert len(targets) == 3
+        read = study.read(several)
+        track = archive.load_tracks(read.recordings[0].folder)["ekf"]
+        visit.do("testbedPlayer.seek(2)")
+        for k, target in enumerate(targets):
+            said = visit.do("k => testbedPlayer.position('ekf', k)", k)
+            row = track.target.tolist().index(target)
+            assert (said["x"], said["y"]) == pytest.approx(tuple(track.mean[8, row, :2]), abs=2e-3)
+        assert visit.said == []
