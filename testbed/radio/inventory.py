@@ -88,7 +88,7 @@ def hearing(antennas: int, cells: int, step: float, antenna: Array, cell: Array,
     order = np.lexsort((tag, place))
     bounds = np.searchsorted(place[order], np.arange(antennas * cells + 1))
     first = np.stack([bounds[a * cells : (a + 1) * cells + 1] for a in range(antennas)]) if antennas else np.zeros((0, cells + 1), np.int64)
-    return Hearing(step, first.astype(np.int64), tag[order].astype(np.int64))
+    return Hearing(float(step), first.astype(np.int64), tag[order].astype(np.int64))
 
 
 def inventory(
@@ -109,21 +109,16 @@ def inventory(
         session=profile.session,
         single=not profile.dual_target,
     )
-    visits, reads, silent = _run(
-        reader, heard.first, heard.tags, heard.step, float(duration), np.uint64(seed), antenna_key, tag_key, asked, persistence
-    )
-    visit, read = np.array(visits).reshape(-1, 5), np.array(reads).reshape(-1, 3)
-    return Inventory(
-        antenna=visit[:, 0].astype(np.int64),
-        number=visit[:, 1].astype(np.int64),
-        rounds=visit[:, 2].astype(np.int64),
-        start=visit[:, 3],
-        end=visit[:, 4],
-        visit=read[:, 0].astype(np.int64),
-        tag=read[:, 1].astype(np.int64),
-        t=read[:, 2],
-        silenced=np.array(silent, dtype=np.int64).reshape(-1, 2),
-    )
+    keys = np.asarray(seed, dtype=np.uint64)[()], np.array(antenna_key), np.array(tag_key)
+    setting = np.array(asked), np.array(persistence, dtype=np.float64)
+    room = 0
+    while True:
+        silent = np.empty((room, 2), dtype=np.int64)
+        visits, ends, visit, tag, t, needed = _run(reader, heard.first, heard.tags, heard.step, float(duration), *keys, *setting, silent)
+        if needed <= room:
+            break
+        room = needed  # once more, with room for all: nothing else changes
+    return Inventory(visits[:, 0], visits[:, 1], visits[:, 2], ends[:, 0], ends[:, 1], visit, tag, t, silent[:needed])
 
 
 # ---------------------------------------------------------------- the slots
@@ -143,97 +138,116 @@ def _draw(seed, tag, frame):
 
 
 @njit(cache=True)
-def _round(reader, t, end, q, keys, seed, read):
-    """One round over tags with `keys` (n,) from t on, at most until `end`: fills `read` (n,) with the time of each read, NaN for none.
+def _round(reader, t, end, q, waiting, many, tag_key, seed, slot, found, when):
+    """One round over the tags waiting[:many] from t on, at most until `end`. `waiting` is used up, slot (2, 2^LARGEST_Q) is for work.
 
-    Returns the time after it.
+    Writes tags and times of reads into `found` and `when`, in order. Returns the time after the round, and how many reads.
     """
-    waiting, many, frame, level = np.arange(len(keys)), len(keys), 0, float(q)
-    count, last = np.zeros(1 << LARGEST_Q, dtype=np.int64), np.zeros(1 << LARGEST_Q, dtype=np.int64)
+    reads, frame, level = 0, 0, float(q)
     t += reader.query
     while True:
-        size = 1 << q
-        count[:size] = 0
-        for i in waiting[:many]:
-            slot = int(_draw(seed, keys[i], frame) >> np.uint64(32)) % size
-            count[slot] += 1
-            last[slot] = i
-        collided = False
-        for slot in range(size):
-            if count[slot] == 0:
+        size, collided = 1 << q, False
+        for place in range(size):
+            slot[0, place] = 0
+        for i in range(many):
+            place = int(_draw(seed, tag_key[waiting[i]], frame) >> np.uint64(32)) % size
+            slot[0, place] += 1
+            slot[1, place] = i
+        for place in range(size):
+            if slot[0, place] == 0:
                 t, level = t + reader.empty, max(level - STEP, 0.0)
-            elif count[slot] == 1:
+            elif slot[0, place] == 1:
                 t += reader.success
             else:
                 t, level, collided = t + reader.collision, min(level + STEP, float(LARGEST_Q)), True
             if t > end:
-                return end
-            if count[slot] == 1:
-                read[last[slot]] = t
-            if int(np.floor(level + 0.5)) != q:
+                return end, reads
+            if slot[0, place] == 1:
+                found[reads], when[reads] = waiting[slot[1, place]], t
+                waiting[slot[1, place]] = -1
+                reads += 1
+            if int(level + 0.5) != q:
                 break
         kept = 0
-        for i in waiting[:many]:
-            if np.isnan(read[i]):
-                waiting[kept] = i
+        for i in range(many):
+            if waiting[i] >= 0:
+                waiting[kept] = waiting[i]
                 kept += 1
         many, frame = kept, frame + 1
-        if int(np.floor(level + 0.5)) == q and not collided:
-            return t
-        q = int(np.floor(level + 0.5))
+        if int(level + 0.5) == q and not collided:
+            return t, reads
+        q = int(level + 0.5)
         t += reader.adjust
 
 
 @njit(cache=True)
-def _visit(reader, start, stop, q, here, tag_key, own, until, persistence, reads, visit):
-    """Rounds over the tags `here` from `start` on, one at least, until `shortest` is over. Returns end, rounds, reads of the last round.
+def _visit(reader, start, stop, expected, here, tag_key, own, until, persistence, slot, found, when):
+    """Rounds over the tags `here` from `start` on, one at least, until `shortest` is over.
 
-    `until` (T,) is when each tag's flag falls back; a tag whose flag is set isn't asked.
+    `until` (T,) is when each tag's flag falls back; a tag whose flag is set isn't asked. Reads are added to `found` and `when`.
+    Returns end, rounds, reads of the last round, reads in all.
     """
-    end, rounds, found = start, 0, 1 << q
+    end, rounds, reads = start, 0, 0
+    waiting = np.empty(len(here), dtype=np.int64)
     while rounds == 0 or (end < start + reader.shortest and end < stop):
-        asked = here[until[here] <= end]
-        read = np.full(len(asked), np.nan)
-        q = min(int(np.floor(np.log2(max(found, 1)) + 0.5)), LARGEST_Q)
-        end = _round(reader, end + reader.between, stop, q, tag_key[asked], _mixed(own + np.uint64(rounds)), read)
-        found = 0
-        for i in np.argsort(read):
-            if np.isnan(read[i]):
-                break
-            found += 1
-            reads.append((visit, int(asked[i]), float(read[i])))
-            if reader.single:
-                until[asked[i]] = np.inf if reader.session == 0 else read[i] + persistence[asked[i]]
+        many = 0
+        for k in here:
+            if until[k] <= end:
+                waiting[many] = k
+                many += 1
+        q = min(int(np.log2(max(expected, 1)) + 0.5), LARGEST_Q)
+        seed = _mixed(own + np.uint64(rounds))
+        end, expected = _round(reader, end + reader.between, stop, q, waiting, many, tag_key, seed, slot, found[reads:], when[reads:])
+        if reader.single:
+            for i in range(reads, reads + expected):
+                until[found[i]] = np.inf if reader.session == 0 else when[i] + persistence[found[i]]
+        reads += expected
         rounds += 1
     if reader.session == 0:  # without power it is forgotten
-        until[here] = end
-    return end, rounds, found
+        for k in here:
+            until[k] = end
+    return end, rounds, expected, reads
 
 
 @njit(cache=True)
-def _run(reader, first, tags, step, duration, seed, antenna_key, tag_key, asked, persistence):
-    """Visits in turn until the time is up.
+def _run(reader, first, tags, step, duration, seed, antenna_key, tag_key, asked, persistence, silent):
+    """Visits in turn until the time is up. Writes (visit, tag) of the silenced to `silent`, as far as it reaches.
 
-    Returns (port, number, rounds, start, end) of visits, (visit, tag, time) of reads, (visit, tag) of the silenced.
+    Returns (port, number, rounds) and (start, end) of visits, visit, tag and time of reads, and how many are silenced.
     """
-    visits, reads, silent = [(0, 0, 0, 0.0, 0.0) for _ in range(0)], [(0, 0, 0.0) for _ in range(0)], [(0, 0) for _ in range(0)]
-    ports = len(antenna_key)
-    number, expected = np.zeros(ports, dtype=np.int64), np.full(ports, 1 << reader.q, dtype=np.int64)
-    until = np.full(len(tag_key), -np.inf)
-    port, start = 0, reader.switch
+    ports, count, port, start = len(antenna_key), 0, 0, reader.switch
+    many, silenced = 0, 0
+    most = int((duration + reader.shortest) / reader.success) + 1
+    found, when, of = np.empty(most, dtype=np.int64), np.empty(most), np.empty(most, dtype=np.int64)
+    most = int(duration / max(reader.shortest, reader.switch + min(reader.longest, reader.between + reader.query))) + 2
+    visits, ends = np.empty((most, 3), dtype=np.int64), np.empty((most, 2))
+    number, expected = np.zeros(ports, dtype=np.int64), np.full(ports, 1 << reader.q)
+    until, slot = np.full(len(tag_key), -np.inf), np.zeros((2, 1 << LARGEST_Q), dtype=np.int64)
+    here = np.empty(len(tag_key), dtype=np.int64)
     while ports and start < duration:
-        cell = min(int(start / step), first.shape[1] - 2)
-        here = tags[first[port, cell] : first[port, cell + 1]]
-        here = here[asked[here]]
-        for k in here[until[here] > start]:
-            silent.append((len(visits), k))
-            if reader.session >= 2:  # its power keeps the flag
-                until[k] = max(until[k], start + persistence[k])
-        q = min(int(np.floor(np.log2(max(expected[port], 1)) + 0.5)), LARGEST_Q)
+        cell, hear = min(int(start / step), first.shape[1] - 2), 0
+        for i in range(first[port, cell], first[port, cell + 1]):
+            k = tags[i]
+            if asked[k]:
+                here[hear] = k
+                hear += 1
+                if until[k] > start:
+                    if silenced < len(silent):
+                        silent[silenced, 0], silent[silenced, 1] = count, k
+                    silenced += 1
+                    if reader.session >= 2:  # its power keeps the flag
+                        until[k] = max(until[k], start + persistence[k])
         own = _mixed(_mixed(seed ^ antenna_key[port]) + np.uint64(number[port]))
         stop = min(start + reader.longest, duration) if ports > 1 else duration
-        end, rounds, expected[port] = _visit(reader, start, stop, q, here, tag_key, own, until, persistence, reads, len(visits))
-        visits.append((port, number[port], rounds, start, end))
+        end, rounds, expected[port], reads = _visit(
+            reader, start, stop, expected[port], here[:hear], tag_key, own, until, persistence, slot, found[many:], when[many:]
+        )
+        for i in range(many, many + reads):
+            of[i] = count
+        many += reads
+        visits[count, 0], visits[count, 1], visits[count, 2] = port, number[port], rounds
+        ends[count, 0], ends[count, 1] = start, end
         number[port] += 1
+        count += 1
         port, start = (port + 1) % ports, end + reader.switch
-    return visits, reads, silent
+    return visits[:count], ends[:count], of[:many], found[:many], when[:many], silenced

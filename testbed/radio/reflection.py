@@ -171,30 +171,26 @@ def _visible(faces: Reflectors, scene: Scene) -> Array:
     corners = np.array([[(scene.bounds[i, 0], scene.bounds[j, 1], scene.bounds[k, 2])] for i, j, k in product((0, 1), repeat=3)])
     inward = np.einsum("cni,ni->cn", corners - faces.origin, faces.normal).max(axis=0, initial=-np.inf) > COVERED
     boxes, seen = scene.static_boxes(), np.zeros(len(faces), dtype=bool)
-    axes = np.ascontiguousarray(np.moveaxis(frames.matrix(boxes.quaternion), -1, -2))
+    axes = np.moveaxis(frames.matrix(boxes.quaternion), -1, -2).reshape(-1, 9)
+    solid = np.concatenate([boxes.center, axes, boxes.half], axis=1)
     for across, along in product((0.0, -0.9, -0.45, 0.45, 0.9), repeat=2):
         open_ = np.flatnonzero(inward & ~seen)
         out = faces.origin[open_] + COVERED * faces.normal[open_]
         out += across * faces.half[open_, :1] * faces.u[open_] + along * faces.half[open_, 1:] * faces.v[open_]
-        seen[open_] = ~_inside(out, boxes.center, axes, boxes.half)
+        seen[open_] = ~_inside(out, solid)
     return seen
 
 
 @njit(cache=True)
-def _above(p, origin, normal):
-    return (p[0] - origin[0]) * normal[0] + (p[1] - origin[1]) * normal[1] + (p[2] - origin[2]) * normal[2]
-
-
-@njit(cache=True)
-def _inside(points, center, axes, half):
-    """(P,) bool: whether each point (P, 3) is inside some box; the rows of axes[k] are the box's own."""
+def _inside(points, boxes):
+    """(P,) bool: whether each point (P, 3) is inside some box; boxes (B, 15): centre, its own three directions, half lengths."""
     found = np.zeros(len(points), dtype=np.bool_)
     for i in range(len(points)):
-        for k in range(len(center)):
+        for k in range(len(boxes)):
             if (
-                abs(_above(points[i], center[k], axes[k, 0])) < half[k, 0]
-                and abs(_above(points[i], center[k], axes[k, 1])) < half[k, 1]
-                and abs(_above(points[i], center[k], axes[k, 2])) < half[k, 2]
+                abs(_beyond(points, i, 0, boxes, k, 3)) < boxes[k, 12]
+                and abs(_beyond(points, i, 0, boxes, k, 6)) < boxes[k, 13]
+                and abs(_beyond(points, i, 0, boxes, k, 9)) < boxes[k, 14]
             ):
                 found[i] = True
                 break
@@ -217,9 +213,11 @@ class Bounces(Table):
 
 def bounces(start: Array, end: Array, faces: Reflectors) -> Bounces:
     """All first-order reflections of L links from `start` (L, 3) to `end` (L, 3), obstacles aside, by link and then by face."""
-    start, end = np.ascontiguousarray(start, dtype=np.float64), np.ascontiguousarray(end, dtype=np.float64)
-    link, face, point, length, cosine = _mirror(start, end, faces.origin, faces.normal, faces.u, faces.v, faces.half)
-    return Bounces(link=link, reflector=face, point=point, length=length, coefficient=mixed(*fresnel(faces.permittivity[face], cosine)))
+    planes = np.concatenate([faces.origin, faces.normal, faces.u, faces.v, faces.half], axis=1)
+    found, number = _mirror(np.concatenate([start, end], axis=1), planes)
+    face, cosine = found[:, 1], number[:, 4]
+    coefficient = mixed(*fresnel(faces.permittivity[face], cosine))
+    return Bounces(link=found[:, 0], reflector=face, point=number[:, :3], length=number[:, 3], coefficient=coefficient)
 
 
 class Mirrored(Obstacles):
@@ -281,48 +279,41 @@ def images(paths: Bounces, end: Array, faces: Reflectors) -> Array:
 
 
 @njit(cache=True)
-def _mirror(start, end, origin, normal, u, v, half):
-    """Every (link, face) with both ends in front of the face and the reflecting point on it; point, length, cosine of incidence."""
-    room, found = max(16, 4 * len(start)), 0
-    link, face = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
-    number = np.empty((room, 5))
-    for i in range(len(start)):
-        a, b = start[i], end[i]
-        for k in range(len(origin)):
-            above_a = _above(a, origin[k], normal[k])
+def _mirror(ends, planes):
+    """Every (line, face) with both ends before the face and the reflecting point on it; and that point, length, cosine of incidence.
+
+    ends (L, 6): start, end; planes (F, 14): origin, normal, u, v, half
+    """
+    found, pair, number = 0, np.empty((1024, 2), dtype=np.int64), np.empty((1024, 5))
+    for i in range(len(ends)):
+        for k in range(len(planes)):
+            above_a = _beyond(ends, i, 0, planes, k, 3)
             if above_a <= 0.0:
                 continue
-            above_b = _above(b, origin[k], normal[k])
+            above_b = _beyond(ends, i, 3, planes, k, 3)
             if above_b <= 0.0:
                 continue
-            share = above_a / (above_a + above_b)
-            ua, va = _above(a, origin[k], u[k]), _above(a, origin[k], v[k])
-            along_u, along_v = _above(b, origin[k], u[k]) - ua, _above(b, origin[k], v[k]) - va
+            share, drop = above_a / (above_a + above_b), above_a + above_b
+            ua, va = _beyond(ends, i, 0, planes, k, 6), _beyond(ends, i, 0, planes, k, 9)
+            along_u, along_v = _beyond(ends, i, 3, planes, k, 6) - ua, _beyond(ends, i, 3, planes, k, 9) - va
             pu, pv = ua + share * along_u, va + share * along_v
-            if abs(pu) > half[k, 0] or abs(pv) > half[k, 1]:
+            if abs(pu) > planes[k, 12] or abs(pv) > planes[k, 13]:
                 continue
-            if found == room:
-                room *= 2
-                link, face, number = _longer(link, room), _longer(face, room), _taller(number, room)
-            drop = above_a + above_b
+            if found == len(pair):
+                pair, number = np.concatenate((pair, pair)), np.concatenate((number, number))
             length = np.sqrt(along_u * along_u + along_v * along_v + drop * drop)
-            link[found], face[found] = i, k
+            pair[found, 0], pair[found, 1] = i, k
             for axis in range(3):
-                number[found, axis] = origin[k, axis] + pu * u[k, axis] + pv * v[k, axis]
+                number[found, axis] = planes[k, axis] + pu * planes[k, 6 + axis] + pv * planes[k, 9 + axis]
             number[found, 3], number[found, 4] = length, drop / length
             found += 1
-    return link[:found], face[:found], number[:found, :3], number[:found, 3], number[:found, 4]
+    return pair[:found], number[:found]
 
 
 @njit(cache=True)
-def _longer(old, room):
-    new = np.empty(room, dtype=np.int64)
-    new[: len(old)] = old
-    return new
-
-
-@njit(cache=True)
-def _taller(old, room):
-    new = np.empty((room, old.shape[1]))
-    new[: len(old)] = old
-    return new
+def _beyond(points, i, at, planes, k, axis):
+    """How far the point in columns `at` of row i lies from the origin of plane k along the plane's direction in columns `axis`."""
+    total = 0.0
+    for j in range(3):
+        total += (points[i, at + j] - planes[k, j]) * planes[k, axis + j]
+    return total
