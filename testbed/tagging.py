@@ -64,8 +64,8 @@ def place_tags(scenario: Scenario, scene: Scene) -> tuple[Tagged, tuple[str, ...
 
 def _rules(scenario: Scenario) -> list[tuple[tuple, TagRule, str | None]]:
     """(place in the file, rule, the actor that the rule is written at) for all tag rules, actors' own first."""
-    own = [(rule.loc, rule, actor.id) for actor in scenario.actors for rule in actor.tags]
-    return own + [(rule.loc, rule, None) for rule in scenario.tags]
+    found: list[tuple[tuple, TagRule, str | None]] = [(rule.loc, rule, actor.id) for actor in scenario.actors for rule in actor.tags]
+    return found + [(rule.loc, rule, None) for rule in scenario.tags]
 
 
 def _placed(rule: TagRule, scene: Scene, actor: str | None, already: int) -> list[_Tag]:

@@ -25,10 +25,13 @@ class Ends:
     body: Array
     pose: Array
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pose", np.asarray(self.pose, dtype=np.float64))  # whole numbers would be carried as whole numbers
+
     def at(self, truth: Truth, index: Array, t: Array) -> Array:
         """World poses (..., 7) of the ends `index` (...) at times t (...)."""
         index, t = np.broadcast_arrays(index, t)
-        pose = np.array(self.pose[index], dtype=np.float64)
+        pose = np.array(self.pose[index])
         rides = self.body[index] != WORLD
         if rides.any():
             carrier = truth.pose(self.body[index[rides]], t[rides])

@@ -14,10 +14,12 @@ import numpy as np
 
 from testbed.columns import Array, Table
 from testbed.protocols import Sensed, Surroundings
+from testbed.radio.channel import Channel, Fixed
 from testbed.radio.links import Ends, Links, StaticObstruction
 from testbed.radio.propagation import POLARISATION_DB, direct_path, phase_of, power_at_reader, power_at_tag
 from testbed.radio.reader import Schedule, expand, schedule, shared_reads
 from testbed.radio.regions import REGIONS
+from testbed.radio.setting import Radio
 from testbed.rng import Counter, keys_of
 from testbed.scene import Scene
 from testbed.sensors.placement import place_antennas
@@ -39,7 +41,11 @@ class _Channel:
 
 
 class Rfid:
-    """One reader and its antennas. Left out: reflections, correlated fading, sessions and Select, Doppler (NaN)."""
+    """One reader and its antennas. Left out: sessions and Select, Doppler (NaN).
+
+    Without a `channel` section the wave goes straight through obstacles and fades from dwell to dwell; with one it bends round edges,
+    is reflected and has a diffuse part (`testbed.radio.channel`).
+    """
 
     Config: ClassVar[type[RfidConfig]] = RfidConfig
     produces: ClassVar[frozenset[str]] = frozenset({"reads", "rounds", "counts"})
@@ -47,7 +53,9 @@ class Rfid:
     def __init__(self, config: RfidConfig, id: str, scene: Scene) -> None:
         self._config, self._id, self._region = config, id, REGIONS[config.region]
         self._antennas, self._ends = place_antennas(config, id, scene)
+        self._scene = scene
         self._static: StaticObstruction | None = None
+        self._fixed: tuple[Radio, Fixed] | None = None
 
     def antennas(self) -> Antennas:
         """The reader's antennas where the scenario puts them."""
@@ -67,13 +75,25 @@ class Rfid:
         far = Ends(around.tagged.body, around.tagged.pose)
         return Links(self._antennas, self._ends, far, around.truth, around.caster, self._static)
 
+    def _channel_of(self, around: Surroundings) -> Channel | None:
+        """The full channel in this trial, if the scenario has one. What stands still is found once for all trials."""
+        config = self._config.channel
+        if config is None:
+            return None
+        if self._fixed is None:
+            tagged = around.tagged
+            far = Ends(tagged.body, tagged.pose)
+            radio = Radio(config, self._scene, around.caster, self._antennas, self._ends, tagged.tags, far, self.frequencies())
+            self._fixed = radio, Fixed(radio)
+        return Channel(*self._fixed, around.truth, around.root, around.trial)
+
 
 class _Trial:
     """One trial of one reader: the keys of its draws, and the two passes."""
 
     def __init__(self, reader: Rfid, around: Surroundings, first_antenna: int) -> None:
         self._config, self._region, self._around, self._first = reader._config, reader._region, around, first_antenna
-        self._antennas, self._links = reader._antennas, reader._links(around)
+        self._antennas, self._links, self._full = reader._antennas, reader._links(around), reader._channel_of(around)
         self._tags = around.tagged.tags
         self._antenna_key, self._tag_key = keys_of(self._antennas.id), keys_of(self._tags.id)
         self._name = f"sensors.{reader._id}"
@@ -83,7 +103,7 @@ class _Trial:
         # what belongs to the hardware is the same in every trial
         self._hop, self._offset = (Counter(around.root, 0, f"{self._name}.{what}") for what in ("hop", "offset"))
         gain = self._antennas.gain.max(initial=-np.inf) + (self._tags.gain - self._tags.sensitivity).max(initial=-np.inf)
-        budget = self._config.power_dbm + gain - POLARISATION_DB + 4 * self._config.fading_db
+        budget = self._config.power_dbm + gain - POLARISATION_DB + 4 * self._config.fade_db
         wavelength = SPEED_OF_LIGHT / self._region.carriers.min()
         self._reach = wavelength / (4 * np.pi) * 10 ** (budget / 20)  # m: beyond it no tag wakes, fading four sigma up included
 
@@ -105,18 +125,23 @@ class _Trial:
         """Reads of the dwells k and the dwell of each; how many target links were in reach, and how many of them were clear."""
         middle = (dwells.start[k] + dwells.end[k]) / 2
         everyone = np.arange(len(self._tags))
-        place, tag = (a.ravel() for a in np.meshgrid(np.arange(len(k)), everyone, indexing="ij"))
-        antenna, visit = dwells.antenna[k][place], dwells.visit[k][place]
-        geometry = self._links.geometry(antenna, tag, middle[place])
-        near = np.flatnonzero(geometry.distance <= self._reach)
-        channel = self._evaluate(antenna[near], visit[near], tag[near], middle[place[near]])
+        place, tag = self._in_reach(dwells.antenna[k], middle)
+        channel = self._evaluate(dwells.antenna[k][place], dwells.visit[k][place], tag, middle[place])
         can_answer = np.zeros((len(k), len(everyone)), dtype=bool)
-        can_answer[place[near], tag[near]] = channel.heard
+        can_answer[place, tag] = channel.heard
         keys = (self._antenna_key[dwells.antenna[k]][:, None], dwells.visit[k][:, None], self._tag_key[None, :])
         n = shared_reads(can_answer, self._config.read_rate_hz * self._config.dwell_s, self._draws["share"], keys)
-        about = np.isin(tag[near], self._around.target_tags)
+        about = np.isin(tag, self._around.target_tags)
         reads, dwell = self._reads(dwells, k, n)
         return reads, dwell, int(about.sum()), int((channel.obstacles[about] == 0).sum())
+
+    def _in_reach(self, antenna: Array, t: Array) -> tuple[Array, Array]:
+        """(dwell, tag) of the links of antennas (K,) at times t (K,) that may be heard at all."""
+        if self._full is not None:
+            return self._full.candidates(antenna, t)
+        place, tag = (a.ravel() for a in np.meshgrid(np.arange(len(antenna)), np.arange(len(self._tags)), indexing="ij"))
+        near = self._links.geometry(antenna[place], tag, t[place]).distance <= self._reach
+        return place[near], tag[near]
 
     def _reads(self, dwells: Schedule, k: Array, n: Array) -> tuple[Reads, Array]:
         """The second pass: the channel at the times of n (dwells, tags) reads; those that fail there are no reads."""
@@ -137,14 +162,20 @@ class _Trial:
 
     def _evaluate(self, antenna: Array, visit: Array, tag: Array, t: Array) -> _Channel:
         """The complex channel of links at their instants, and whether a read would succeed."""
-        geometry = self._links.geometry(antenna, tag, t)
-        obstruction = self._links.obstruction(antenna, tag, t, geometry)
-        gain = geometry.gain + self._tags.gain[tag] - POLARISATION_DB
-        fade = self._config.fading_db * self._draws["fade"].normal(self._antenna_key[antenna], visit, self._tag_key[tag])
-        h = direct_path(geometry.distance, self._region.carriers[self._channel_index(t)], gain + fade, obstruction.loss)
+        fade = self._config.fade_db * self._draws["fade"].normal(self._antenna_key[antenna], visit, self._tag_key[tag])
+        carrier = self._channel_index(t)
+        if self._full is not None:
+            response = self._full.respond(antenna, tag, t, carrier)
+            h, obstacles = response.h * 10 ** (fade / 20), response.count
+        else:
+            geometry = self._links.geometry(antenna, tag, t)
+            obstruction = self._links.obstruction(antenna, tag, t, geometry)
+            gain = geometry.gain + self._tags.gain[tag] - POLARISATION_DB
+            h = direct_path(geometry.distance, self._region.carriers[carrier], gain + fade, obstruction.loss)
+            obstacles = obstruction.count
         received = power_at_reader(h, self._antennas.power[antenna], self._config.modulation_loss_db)
         wakes = power_at_tag(h, self._antennas.power[antenna]) >= self._tags.sensitivity[tag]
-        return _Channel(h, obstruction.count, received, wakes & (received >= self._config.sensitivity_dbm))
+        return _Channel(h, obstacles, received, wakes & (received >= self._config.sensitivity_dbm))
 
     def _channel_index(self, t: Array) -> Array:
         """(N,) places in the hop table: a fresh draw each `dwell_s` of the region."""

@@ -8,6 +8,7 @@ from pydantic import Field, field_validator, model_validator
 
 from testbed.quantity import Config, DecibelMilliwatts, Decibels, DecibelsIsotropic, Degrees, Hertz, Point3, Seconds
 from testbed.radio.regions import REGIONS
+from testbed.radio.setting import ChannelConfig
 
 
 class AntennaRule(Config):
@@ -55,7 +56,8 @@ class RfidConfig(Config):
     dwell_s: Annotated[Seconds, Field(ge=0.001, le=10)] = 0.04
     switch_s: Annotated[Seconds, Field(ge=0, le=1)] = 0.002
     latency_s: Annotated[Seconds, Field(ge=0, le=60)] = 0.0
-    fading_db: Annotated[Decibels, Field(ge=0, le=20)] = 1.0  # of the one-way gain, from dwell to dwell
+    channel: ChannelConfig | None = None  # edges, reflections, diffuse part; without, the straight path through obstacles and fading_db
+    fading_db: Annotated[Decibels, Field(ge=0, le=20)] | None = None  # of the one-way gain, from dwell to dwell: 1, with a channel 0
     rssi_noise_db: Annotated[Decibels, Field(ge=0, le=20)] = 0.5
     rssi_step_db: Annotated[Decibels, Field(ge=0, le=10)] = 0.5
     phase_noise_rad: Annotated[float, Field(ge=0, le=4)] = 0.05
@@ -65,6 +67,11 @@ class RfidConfig(Config):
     @classmethod
     def _one_rule_is_a_list_of_one(cls, value: Any) -> Any:
         return [value] if isinstance(value, dict | AntennaRule) else value
+
+    @property
+    def fade_db(self) -> float:
+        """Standard deviation of the fading from dwell to dwell: a channel brings a diffuse part of its own."""
+        return self.fading_db if self.fading_db is not None else 1.0 if self.channel is None else 0.0
 
     @model_validator(mode="after")
     def _within_the_limit(self) -> RfidConfig:

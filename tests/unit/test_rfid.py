@@ -11,6 +11,7 @@ from testbed.radio.propagation import POLARISATION_DB, direct_path, power_at_rea
 from testbed.scene import Body, Scene, Truth
 from testbed.sensors.rfid import Rfid
 from testbed.types import Tags
+from worlds.raycast import BoxCaster
 
 SECONDS = 4.0
 
@@ -160,6 +161,44 @@ def test_the_chunk_size_changes_nothing(monkeypatch):
     for kind in whole.streams:
         assert whole.streams[kind].equals(cut.streams[kind]), kind
     assert whole.shares == cut.shares
+
+
+def empty_hall():
+    return BoxCaster(scene(), np.empty(0), np.empty(0))
+
+
+STRAIGHT = {"orders": 0, "diffuse": False, "edges": False}
+
+
+@pytest.mark.parametrize("caster", [Wall(x=None), Wall(loss=4.0), Wall(loss=40.0), Wall(loss=40.0, moving=True)])
+def test_a_channel_without_edges_reflections_and_diffuse_part_is_the_straight_path(caster):
+    plain = sensed(caster=caster).streams["reads"]
+    full = sensed({"channel": STRAIGHT}, caster=caster).streams["reads"]
+    assert np.array_equal(plain.t, full.t)
+    np.testing.assert_allclose(full.rssi, plain.rssi, atol=1e-9)
+    np.testing.assert_allclose(np.exp(1j * full.phase), np.exp(1j * plain.phase), atol=1e-9)
+
+
+def test_the_channel_of_a_link_does_not_depend_on_other_tags_or_on_chunks(monkeypatch):
+    config, hall = {"channel": {}, "rssi_noise_db": 1.0}, empty_hall()
+    one, other_trial = (sensed(config, trial=i, caster=hall).streams["reads"] for i in (0, 1))
+    assert one.equals(sensed(config, caster=hall, tags=tagged(("a", "far"), ((0, 0, 1), (0, 500, 1)))).streams["reads"])
+    assert not one.equals(other_trial)
+    monkeypatch.setattr("testbed.sensors.rfid.CELLS", 7)
+    assert one.equals(sensed(config, caster=hall).streams["reads"])
+
+
+def test_a_floor_and_a_diffuse_part_make_rssi_wave_where_free_space_falls():
+    free, full = sensed().streams["reads"], sensed({"channel": {}}, caster=empty_hall()).streams["reads"]
+    assert np.all(np.diff(free.rssi[free.channel == 0]) < 0)  # the tag rolls away
+    assert np.ptp(np.diff(full.rssi[full.channel == 0])) > 1.0
+
+
+def test_fading_from_dwell_to_dwell_is_left_to_the_channel_where_there_is_one():
+    antennas = {"position_m": [0, 0, 1]}
+    assert Rfid.Config.model_validate({"antennas": antennas}).fade_db == 1.0
+    assert Rfid.Config.model_validate({"antennas": antennas, "channel": {}}).fade_db == 0.0
+    assert Rfid.Config.model_validate({"antennas": antennas, "channel": {}, "fading_db": 2}).fade_db == 2.0
 
 
 def test_trials_differ_and_repeat():
