@@ -146,6 +146,8 @@ def run(
     except ValueError as error:
         raise typer.Exit(_complain(f"--keep: {error}")) from None
     loaded = [scenario_of(n, trials=trials, seed=seed, estimators=estimator or (), sets=sets or ()) for n in scenarios]
+    for scenario in loaded:
+        _placed(scenario.points()[:1])  # what only the hall can tell, before a folder is made
     results = []
     for scenario in loaded:
         folder = _folder(out, scenario.name, several=len(loaded) > 1)
@@ -175,6 +177,17 @@ def _reported(folder: Path) -> Path | None:
         again = f"the results are whole; testbed report {folder} tries again and shows where it went wrong"
         _complain(f"the report could not be made ({type(error).__name__}: {error}); {again}")
         return None
+
+
+def _placed(points: list[Any]) -> list[str]:
+    """What each point puts into its hall. ScenarioError for a tag, an antenna or a camera that the hall has no place for."""
+    from testbed.simulate import Simulator
+
+    found = []
+    for point in points:
+        with Simulator(point.scenario, rays=False) as simulator:
+            found.append(f"{len(simulator.tagged.tags)} tags, {len(simulator.aims.targets)} targets")
+    return found
 
 
 def _folder(out: Path | None, name: str, several: bool) -> Path:
@@ -276,16 +289,12 @@ def render(
 def validate(scenarios: Names, sets: Sets = None) -> None:
     """Check scenario files, the places of tags and antennas included, without running anything. Needs no pybullet."""
     from testbed.scenario import load
-    from testbed.simulate import Simulator
 
     wrong: list[str] = []
     for name in scenarios:
         try:
             scenario = load(name, sets or ())
-            placed = []
-            for point in scenario.points():
-                with Simulator(point.scenario, rays=False) as simulator:
-                    placed.append(f"{len(simulator.tagged.tags)} tags, {len(simulator.aims.targets)} targets")
+            placed = _placed(scenario.points())
             _out().print(f"{name}: fine: {len(placed)} point(s) of {scenario.trials} trials; {placed[0]}", soft_wrap=True)
         except ScenarioError as error:
             wrong.append(str(error))

@@ -108,6 +108,12 @@ def test_bad_input_is_exit_2_with_one_sentence(quick, tmp_path, words, message):
     assert "Traceback" not in done.stderr
 
 
+def test_what_only_the_hall_can_tell_is_told_before_a_folder_is_made(quick, tmp_path):
+    quick.write_text(quick.read_text().replace('on: "post*"', 'on: "gate*"'))
+    assert "no body is named 'gate*'" in command("run", quick, cwd=tmp_path, code=2).stderr
+    assert not (tmp_path / "runs").exists()
+
+
 def test_every_mistake_of_a_file_is_shown_at_once_with_its_place(quick, tmp_path):
     quick.write_text(quick.read_text().replace("seed: 3", "sed: 3").replace("kind: centroid", "kind: centroit"))
     lines = command("validate", quick, cwd=tmp_path, code=2).stderr.splitlines()
