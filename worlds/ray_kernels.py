@@ -1,9 +1,12 @@
 """The compiled loops of `worlds.raycast`: segments against packed boxes (`worlds.boxtree`).
 
+Segments are taken in batches, and a batch through all levels of blocks one level at a time: first all its tests, then what follows
+from them. Going down with one segment after the other, the processor would guess at each block what the last test will say,
+and be wrong half of the time; so it takes 1.5 times as long.
+
 Blocks are addressed by unsigned offsets into flat arrays. An index that could be negative would be wrapped around like Python's,
-and a view of a block would be counted by the memory manager: either costs more than the arithmetic. So does a call that hands
-over eighty words of arrays: what runs once a segment is inlined. All memory comes from the caller, for the compiler takes longer
-over an allocation than over a loop.
+and a view of a block would be counted by the memory manager: either costs more than the arithmetic. All memory comes from the
+caller, for the compiler takes longer over an allocation than over a loop.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ from __future__ import annotations
 from math import sqrt
 from typing import Any, NamedTuple
 
+import numpy as np
 from numba import njit, uint64
 from numba.cpython.unsafe.numbers import trailing_zeros
 
@@ -18,8 +22,9 @@ from testbed.columns import Array
 
 WIDTH = 16  # lanes a block: four vector registers of four doubles. Here and not in boxtree: compiled code is kept until this file changes
 SURFACE = 1e-9  # m: less than this inside a box is touching, not crossing
-CHUNK = 1024  # segments whose near bodies are looked for together
 GROUP = 32  # bodies whose nearness is kept in one number
+BATCH = 256  # segments at most: what they need stays in the cache
+_PAIRS, _PASSES = 65_536, 4_096  # a batch is smaller where it could come to more than this
 _PARALLEL = 1e100  # stands for 1 / 0 in the slab test; finite, so that 0 times it is 0
 _LANES, _BLOCK = uint64(WIDTH), uint64(6 * WIDTH)
 _HIGH = uint64(3 * WIDTH)  # from a low face's row to the high one's
@@ -27,22 +32,43 @@ _lowest: Any = trailing_zeros  # place of the lowest bit that is set
 
 
 class Workspace(NamedTuple):
-    """Memory that a cast works in."""
+    """Memory that a cast works in. A pass is one segment near one body, in the body's frame; a pair is a pass and a block."""
 
     centre: Array  # (Q * 3 * lanes,) m: x, then y, then z of the centre of each body's ball in the world, for each instant
-    near: Array  # (CHUNK, groups of bodies) int64: the bodies whose ball a segment meets, as bits
-    leaves: Array  # (leaves,) int64: those that a segment crosses
+    near: Array  # (batch, groups of bodies) int64: the bodies whose ball a segment meets, as bits
+    segment: Array  # (passes,) int64
+    number: Array  # (passes, 16): three axes of `_axis` without offsets, length, both ends
+    offset: Array  # (passes, 6) uint64: the offsets of `_axis`
+    who: Array  # (2, pairs) int64: passes, now and of the next level
+    what: Array  # (2, pairs) int64: blocks, likewise
+    bits: Array  # (pairs,) int64: lanes that are crossed
 
 
 class Result(NamedTuple):
     """What a cast finds. Crossings of segment i go to place first[i] and on; none are listed where `first` is empty."""
 
-    counts: Array  # (N,) int32
-    losses: Array  # (N,) dB
+    counts: Array  # (N,) int32, 0 before
+    losses: Array  # (N,) dB, 0 before
     first: Array  # (N,) or (0,) int64
     box: Array  # (crossings,) int64
     enter: Array  # (crossings,) m
     length: Array  # (crossings,) m
+
+
+def workspace(instants: int, bodies: int, lanes: int, leaves: int) -> Workspace:
+    """Memory for a cast past some bodies with so many leaves in all, whose balls fill `lanes`."""
+    batch = max(1, min(BATCH, _PAIRS // max(leaves, 1), _PASSES // max(bodies, 1)))
+    passes, pairs = batch * bodies, batch * leaves
+    return Workspace(
+        centre=np.zeros(instants * 3 * lanes),
+        near=np.empty((batch, -(-lanes // GROUP)), dtype=np.int64),
+        segment=np.empty(passes, dtype=np.int64),
+        number=np.empty((passes, 16)),
+        offset=np.empty((passes, 6), dtype=np.uint64),
+        who=np.empty((2, pairs), dtype=np.int64),
+        what=np.empty((2, pairs), dtype=np.int64),
+        bits=np.empty(pairs, dtype=np.int64),
+    )
 
 
 @njit(cache=True)
@@ -113,9 +139,9 @@ def place_balls(ball, poses, centre):
 
 @njit(cache=True)
 def _find_near(reach, start, end, instant, begin, work):
-    """Fills `Workspace.near` for the chunk of segments from `begin` on. A pass of its own: so small a loop stays in registers."""
+    """Fills `Workspace.near` for the batch of segments from `begin` on."""
     lanes = len(reach)
-    for i in range(begin, min(begin + CHUNK, len(start))):
+    for i in range(begin, min(begin + len(work.near), len(start))):
         origin = start[i, 0], start[i, 1], start[i, 2]
         way = end[i, 0] - start[i, 0], end[i, 1] - start[i, 1], end[i, 2] - start[i, 2]
         for group in range(work.near.shape[1]):
@@ -140,67 +166,14 @@ def _meets(centre, reach, first, body, origin, way):
 
 
 @njit(cache=True)
-def _leaf_ray(rotation, frame, ray, a, b, length):
-    """The ray in a leaf's frame, whose axes are the columns of `rotation[frame]`; frame 0 is the body's own."""
-    if frame == 0:
-        return ray
-    r = rotation[frame]
-    return (
-        _axis(r[0, 0] * a[0] + r[1, 0] * a[1] + r[2, 0] * a[2], r[0, 0] * b[0] + r[1, 0] * b[1] + r[2, 0] * b[2], length),
-        _axis(r[0, 1] * a[0] + r[1, 1] * a[1] + r[2, 1] * a[2], r[0, 1] * b[0] + r[1, 1] * b[1] + r[2, 1] * b[2], length),
-        _axis(r[0, 2] * a[0] + r[1, 2] * a[1] + r[2, 2] * a[2], r[0, 2] * b[0] + r[1, 2] * b[1] + r[2, 2] * b[2], length),
-    )
-
-
-@njit(cache=True, inline="always")
-def _leaves(trees, body, ray, length, leaves):
-    """Writes the leaves of a body that the ray may cross boxes of into `leaves`; returns how many."""
-    tops, middles, middle_of, leaf_of = trees.top, trees.middle, trees.middle_of, trees.leaf_of
-    found = 0
-    for top in range(trees.first_top[body], trees.first_top[body + 1]):
-        bits = _crossed(tops, top, ray, length)
-        while bits:
-            middle = middle_of[uint64(top), uint64(_lowest(bits))]
-            bits &= bits - 1
-            middle_bits = _crossed(middles, middle, ray, length)
-            while middle_bits:
-                leaves[uint64(found)] = leaf_of[uint64(middle), uint64(_lowest(middle_bits))]
-                middle_bits &= middle_bits - 1
-                found += 1
-    return found
-
-
-@njit(cache=True, inline="always")
-def _cast_body(trees, body, a, b, length, entry, per_metre, i, found, loss, work, result):
-    """Adds what one body has on segment i, from a to b in the body's frame, to the result; returns the crossings found so far."""
-    ray = (_axis(a[0], b[0], length), _axis(a[1], b[1], length), _axis(a[2], b[2], length))
-    for k in range(_leaves(trees, body, ray, length, work.leaves)):
-        leaf = work.leaves[uint64(k)]
-        own = _leaf_ray(trees.rotation, trees.frame[uint64(leaf)], ray, a, b, length)
-        bits = _crossed(trees.leaf, leaf, own, length)
-        while bits:
-            lane = _lowest(bits)
-            bits &= bits - 1
-            box = uint64(trees.box_of[uint64(leaf), uint64(lane)])
-            enter, inside = _interval(trees.leaf, leaf, lane, own, length)
-            loss += entry[box] + per_metre[box] * inside
-            if len(result.first):
-                to = uint64(result.first[i] + found)
-                result.box[to], result.enter[to], result.length[to] = box, enter, inside
-            found += 1
-    return found, loss
-
-
-@njit(cache=True)
-def cast(trees, entry, per_metre, start, end, poses, instant, work, result):
-    """Count and loss of every segment, and if `result.first` isn't empty every crossing, in no order. `result.losses` must begin at 0."""
-    for index in range(len(start)):
-        i = uint64(index)
-        if index % CHUNK == 0:
-            _find_near(trees.reach, start, end, instant, index, work)
-        found, loss, q = 0, 0.0, uint64(instant[i])
+def _begin_passes(trees, start, end, poses, instant, begin, work):
+    """Fills in the passes of a batch and pairs them with the top blocks of their bodies; returns how many pairs there are."""
+    passes, pairs = 0, 0
+    for index in range(min(len(work.near), len(start) - begin)):
+        i = uint64(begin + index)
+        q = uint64(instant[i])
         for group in range(work.near.shape[1]):
-            bodies = work.near[uint64(index % CHUNK), uint64(group)]
+            bodies = work.near[uint64(index), uint64(group)]
             while bodies:
                 body = GROUP * group + _lowest(bodies)
                 bodies &= bodies - 1
@@ -210,5 +183,100 @@ def cast(trees, entry, per_metre, start, end, poses, instant, work, result):
                     p = poses[q, uint64(body)]
                     a = _rotated(-p[3], p[4], p[5], p[6], ox - p[0], oy - p[1], oz - p[2])
                     b = _rotated(-p[3], p[4], p[5], p[6], ex - p[0], ey - p[1], ez - p[2])
-                    found, loss = _cast_body(trees, body, a, b, length, entry, per_metre, i, found, loss, work, result)
-        result.counts[i], result.losses[i] = found, loss
+                    _write_pass(work, uint64(passes), i, a, b, length)
+                    for top in range(trees.first_top[body], trees.first_top[body + 1]):
+                        work.who[0, uint64(pairs)], work.what[0, uint64(pairs)] = passes, top
+                        pairs += 1
+                    passes += 1
+    return pairs
+
+
+@njit(cache=True, inline="always")
+def _write_pass(work, k, segment, a, b, length):
+    """Keeps pass k: the segment from a to b in the body's frame."""
+    number, offset = work.number, work.offset
+    work.segment[k] = segment
+    number[k, 0], number[k, 1], number[k, 2], offset[k, 0], offset[k, 1] = _axis(a[0], b[0], length)
+    number[k, 3], number[k, 4], number[k, 5], offset[k, 2], offset[k, 3] = _axis(a[1], b[1], length)
+    number[k, 6], number[k, 7], number[k, 8], offset[k, 4], offset[k, 5] = _axis(a[2], b[2], length)
+    number[k, 9] = length
+    number[k, 10], number[k, 11], number[k, 12] = a
+    number[k, 13], number[k, 14], number[k, 15] = b
+
+
+@njit(cache=True)
+def _ray(number, offset, k):
+    """The axes of pass k, in its body's frame."""
+    return (
+        (number[k, 0], number[k, 1], number[k, 2], offset[k, 0], offset[k, 1]),
+        (number[k, 3], number[k, 4], number[k, 5], offset[k, 2], offset[k, 3]),
+        (number[k, 6], number[k, 7], number[k, 8], offset[k, 4], offset[k, 5]),
+    )
+
+
+@njit(cache=True)
+def _turned_ray(number, k, rotation, frame):
+    """The axes of pass k in a leaf's own frame, whose axes are the columns of `rotation[frame]`."""
+    r, n = rotation[frame], number[k]
+    return (
+        _axis(r[0, 0] * n[10] + r[1, 0] * n[11] + r[2, 0] * n[12], r[0, 0] * n[13] + r[1, 0] * n[14] + r[2, 0] * n[15], n[9]),
+        _axis(r[0, 1] * n[10] + r[1, 1] * n[11] + r[2, 1] * n[12], r[0, 1] * n[13] + r[1, 1] * n[14] + r[2, 1] * n[15], n[9]),
+        _axis(r[0, 2] * n[10] + r[1, 2] * n[11] + r[2, 2] * n[12], r[0, 2] * n[13] + r[1, 2] * n[14] + r[2, 2] * n[15], n[9]),
+    )
+
+
+@njit(cache=True)
+def _descend(blocks, member, work, now, pairs):
+    """Tests all pairs and pairs their passes with the members behind the lanes that they cross; returns how many there are."""
+    number, offset, bits = work.number, work.offset, work.bits
+    who, what, next_who, next_what = work.who[now], work.what[now], work.who[1 - now], work.what[1 - now]
+    for pair in range(pairs):
+        k = uint64(who[pair])
+        bits[pair] = _crossed(blocks, what[pair], _ray(number, offset, k), number[k, 9])
+    found = 0
+    for pair in range(pairs):
+        crossed = bits[pair]
+        while crossed:
+            next_who[uint64(found)] = who[pair]
+            next_what[uint64(found)] = member[uint64(what[pair]), uint64(_lowest(crossed))]
+            crossed &= crossed - 1
+            found += 1
+    return found
+
+
+@njit(cache=True)
+def _finish(trees, entry, per_metre, work, pairs, result):
+    """Tests all pairs with leaves and adds the boxes that are crossed to the result."""
+    number, offset, bits, frame = work.number, work.offset, work.bits, trees.frame
+    who, what = work.who[0], work.what[0]
+    for pair in range(pairs):
+        k, leaf = uint64(who[pair]), uint64(what[pair])
+        ray = _ray(number, offset, k) if frame[leaf] == 0 else _turned_ray(number, k, trees.rotation, frame[leaf])
+        bits[pair] = _crossed(trees.leaf, leaf, ray, number[k, 9])
+    for pair in range(pairs):
+        crossed = bits[pair]
+        while crossed:
+            k, leaf, lane = uint64(who[pair]), uint64(what[pair]), uint64(_lowest(crossed))
+            crossed &= crossed - 1
+            ray = _ray(number, offset, k) if frame[leaf] == 0 else _turned_ray(number, k, trees.rotation, frame[leaf])
+            enter, inside = _interval(trees.leaf, leaf, lane, ray, number[k, 9])
+            i, box = uint64(work.segment[k]), uint64(trees.box_of[leaf, lane])
+            if len(result.first):
+                to = uint64(result.first[i] + result.counts[i])
+                result.box[to], result.enter[to], result.length[to] = box, enter, inside
+            result.counts[i] += 1
+            result.losses[i] += entry[box] + per_metre[box] * inside
+
+
+@njit(cache=True)
+def cast(trees, entry, per_metre, start, end, poses, instant, work, result):
+    """Count and loss of every segment, and if `result.first` isn't empty every crossing, in no order.
+
+    What is found doesn't depend on the batches: a segment's boxes are added in one order always.
+    """
+    for begin in range(0, len(start), len(work.near)):
+        _find_near(trees.reach, start, end, instant, begin, work)
+        pairs = _begin_passes(trees, start, end, poses, instant, begin, work)
+        pairs = _descend(trees.top, trees.middle_of, work, 0, pairs)
+        pairs = _descend(trees.middle, trees.leaf_of, work, 1, pairs)
+        _finish(trees, entry, per_metre, work, pairs, result)

@@ -22,7 +22,7 @@ from testbed.columns import Array
 from testbed.protocols import Crossings, Obstruction
 from testbed.scene import Scene
 from worlds.boxtree import Forest, forest
-from worlds.ray_kernels import CHUNK, GROUP, SURFACE, Result, Workspace, cast, place_balls
+from worlds.ray_kernels import SURFACE, Result, cast, place_balls, workspace
 
 
 class BoxCaster:
@@ -71,12 +71,7 @@ class BoxCaster:
         return Obstruction(count=found.counts, loss=found.losses)
 
     def _cast(self, trees: Forest, start: Array, end: Array, poses: Array, instant: Array, *listing: Array) -> Result:
-        lanes = len(trees.ball)
-        work = Workspace(
-            centre=np.zeros(len(poses) * 3 * lanes),
-            near=np.zeros((CHUNK, -(-lanes // GROUP)), dtype=np.int64),
-            leaves=np.zeros(len(trees.frame), dtype=np.int64),
-        )
+        work = workspace(len(poses), poses.shape[1], len(trees.ball), len(trees.frame))
         place_balls(trees.ball, poses, work.centre)
         result = Result(np.zeros(len(start), dtype=np.int32), np.zeros(len(start)), *listing)
         cast(trees, self._entry, self._per_metre, start, end, poses, instant, work, result)

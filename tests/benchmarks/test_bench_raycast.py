@@ -15,7 +15,7 @@ from worlds.raycast import BoxCaster
 
 pytestmark = pytest.mark.benchmark
 
-RACKS, PER_RACK = 40, 50
+RACKS, PER_RACK, CARTONS = 40, 50, 38
 FLOOR = np.array([42.0, 22.0])
 TIMES_FASTER = 25  # all obstacles by boxes against the first hit by PyBullet
 SHARE = 1 / 8  # what moves, of a full cast
@@ -36,7 +36,7 @@ def rack(rng):
     """Centres and halves of a rack of 4 m: 8 posts, 4 shelves, 38 cartons on them."""
     boxes = [((x, y, 2.0), (0.04, 0.04, 2.0)) for x in np.linspace(0, 4, 4) for y in (0.0, 1.0)]
     boxes += [((2.0, 0.5, z), (2.0, 0.5, 0.02)) for z in (0.2, 1.4, 2.6, 3.8)]
-    for k in range(PER_RACK - len(boxes)):
+    for k in range(CARTONS):
         half = rng.uniform([0.1, 0.15, 0.1], [0.18, 0.4, 0.45])
         boxes.append(((0.3 + 0.4 * (k // 4), 0.5, 0.22 + 1.2 * (k % 4) + half[2]), half))
     return boxes
@@ -68,10 +68,14 @@ def caster(scene):
     return BoxCaster(scene, np.array([20.0, 1.0, 3.0]), np.array([0.0, 10.0, 20.0]))
 
 
-def links(antennas, tags, rng):
-    """Segments from antennas under the ceiling to tags at any height of the racks."""
-    above, below = rng.uniform([0, 0, 2], [*FLOOR, 4.5], (antennas, 3)), rng.uniform([0, 0, 0.1], [*FLOOR, 4.0], (tags, 3))
-    return np.repeat(above, tags, axis=0), np.tile(below, (antennas, 1))
+def links(scene, antennas, tags, rng):
+    """Segments from antennas under the ceiling to tags on the long sides of cartons."""
+    above = rng.uniform([0, 0, 2], [*FLOOR, 4.5], (antennas, 3))
+    boxes = scene.static_boxes()
+    carton = rng.choice(np.flatnonzero(np.arange(len(boxes)) % PER_RACK >= PER_RACK - CARTONS), tags)
+    side = rng.choice([-1.0, 1.0], tags) * (boxes.half[carton, 1] + 0.02)
+    on = boxes.center[carton] + side[:, None] * np.array([0.0, 1.0, 0.0])
+    return np.repeat(above, tags, axis=0), np.tile(on, (antennas, 1))
 
 
 def test_all_obstacles_by_boxes_are_found_25_times_faster_than_pybullets_first_hit(benchmark):
@@ -79,7 +83,7 @@ def test_all_obstacles_by_boxes_are_found_25_times_faster_than_pybullets_first_h
     from worlds.bullet import RAYS_PER_CALL, Client
 
     scene = hall()
-    start, end = links(64, RAYS_PER_CALL // 64, np.random.default_rng(2))
+    start, end = links(scene, 64, RAYS_PER_CALL // 64, np.random.default_rng(2))
     boxes = caster(scene)
     with Client() as compounds, Client() as separate:
         compounds.load_static(scene)
@@ -101,9 +105,9 @@ def test_all_obstacles_by_boxes_are_found_25_times_faster_than_pybullets_first_h
 
 
 def test_what_moves_is_cast_again_in_an_eighth_of_a_full_cast(benchmark):
-    boxes = caster(hall(movers=5))
-    rng = np.random.default_rng(3)
-    start, end = links(64, 2000, rng)
+    scene, rng = hall(movers=5), np.random.default_rng(3)
+    boxes = caster(scene)
+    start, end = links(scene, 64, 2000, rng)
     poses, instant = np.tile(frames.IDENTITY, (1, 5, 1)), np.zeros(len(start), dtype=np.int64)
     poses[0, :, :2] = rng.uniform([2, 2], FLOOR - 2, (5, 2))
     poses[0, :, 3:] = frames.from_euler(rng.uniform(-np.pi, np.pi, 5))

@@ -90,6 +90,7 @@ def test_a_micrometre_below_the_surface_is_a_crossing():
     assert one(caster, (-2, 0.5 - 1e-6, 0), (2, 0.5 - 1e-6, 0)) == (1, pytest.approx(13.0))
     assert one(caster, (0, 1, 0), (1 - 1e-6, 0, 0))[0] == 1
     assert one(caster, (-2, 0, 0), (-0.5 + 1e-6, 0, 0))[0] == 1
+    assert one(caster, (0, 0, 0), (1e-6, 0, 0)) == (1, pytest.approx(3.0 + 10.0 * 1e-6, abs=1e-12))
 
 
 def test_boxes_that_share_a_face_or_a_place_are_all_counted():
@@ -98,6 +99,14 @@ def test_boxes_that_share_a_face_or_a_place_are_all_counted():
     assert found.box.tolist() == [0, 1, 2]
     np.testing.assert_allclose(found.enter, [1.5, 2.5, 2.5])
     np.testing.assert_allclose(found.length, [1.0, 1.0, 1.0])
+
+
+def test_a_row_of_five_thousand_boxes_is_counted_to_the_last():
+    n = 5000  # more than one block of the topmost level, whatever its width
+    caster = caster_of(np.stack([np.arange(n), 0 * np.arange(n), 0 * np.arange(n)], axis=1), half=(0.25, 0.25, 0.25))
+    assert n > WIDTH**3
+    assert one(caster, (-1, 0, 0), (n, 0, 0)) == (n, pytest.approx(n * (3.0 + 10.0 * 0.5)))
+    assert one(caster, (n, 0.3, 0), (-1, 0.3, 0)) == (0, 0.0)
 
 
 def test_a_box_without_thickness_and_a_hall_without_boxes_stop_nothing():
