@@ -2,7 +2,7 @@
 
 Segments are taken in batches, and a batch through all levels of blocks one level at a time: first all its tests, then what follows
 from them. Going down with one segment after the other, the processor would guess at each block what the last test will say,
-and be wrong half of the time; so it takes 1.5 times as long.
+and often be wrong: that takes 1.3 times as long.
 
 Blocks are addressed by unsigned offsets into flat arrays. An index that could be negative would be wrapped around like Python's,
 and a view of a block would be counted by the memory manager: either costs more than the arithmetic. All memory comes from the
