@@ -19,13 +19,13 @@ import numpy as np
 
 from testbed.columns import Array, Table, column
 from testbed.radio.diffraction import CLEAR_OF_ZONE, clearance
-from testbed.radio.diffuse import Field, Stir, rice_factor
+from testbed.radio.diffuse import Field, Stir
 from testbed.radio.movers import Posed
 from testbed.radio.propagation import direct_path
 from testbed.radio.setting import Lines, Paths, Radio
 from testbed.radio.sight import BULGE, SEARCH, Obstacles, Sight
 from testbed.scene import WORLD, Truth
-from testbed.units import SPEED_OF_LIGHT, from_db
+from testbed.units import SPEED_OF_LIGHT
 
 Look = Callable[[Array, Obstacles], Sight]  # sight of some of the lines, past these obstacles
 
@@ -54,7 +54,7 @@ class Fixed:
         seen = radio.sight(lines, radio.standing(len(lines)))
         paths = radio.reflections(lines, self.antenna, self.tag)
         mirrored = radio.sight_mirrored(paths, lines, radio.standing(len(paths)))
-        self._keep(np.flatnonzero(radio.audible(lines, seen.loss, paths, mirrored.loss)), lines, seen, paths, mirrored)
+        self._keep(np.flatnonzero(radio.audible(lines, seen.loss, seen.clear, paths, mirrored.loss)), lines, seen, paths, mirrored)
         self.index = np.full((len(radio.antennas), len(radio.tags)), -1, dtype=np.int64)
         self.index[self.antenna, self.tag] = np.arange(len(self.tag))
         self.margin = reach_of(self.sight, self.lines.distance, radio.wavelength)
@@ -122,7 +122,7 @@ class Channel:
         """Those of the pairs that may be heard if nothing stood between them."""
         lines = self._radio.lines(antenna[place], tag, posed, place)
         paths = self._radio.reflections(lines, antenna[place], tag)
-        keep = self._radio.audible(lines, np.zeros(len(tag)), paths, np.zeros(len(paths)))
+        keep = self._radio.audible(lines, np.zeros(len(tag)), np.ones(len(tag)), paths, np.zeros(len(paths)))
         return place[keep], tag[keep]
 
     # ------------------------------------------------------------ what they hear
@@ -226,7 +226,7 @@ class Channel:
         """(N,) h: all parts together."""
         h = _along(lines.distance, frequency, lines.gain, seen)
         if self._field is not None:
-            k = rice_factor(seen.clear, float(from_db(self._radio.config.open_k_db)))
+            k = self._radio.rice_factor(seen.clear)
             diffuse = self._field.at(lines.start, lines.end, frequency, stir)
             h = np.sqrt(k / (k + 1)) * h + np.sqrt(1 / (k + 1)) * np.abs(h) * diffuse
         if len(paths):

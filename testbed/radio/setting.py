@@ -12,6 +12,7 @@ from testbed.columns import Array, Table, column
 from testbed.protocols import Caster
 from testbed.quantity import Config, Decibels
 from testbed.radio.antenna import exponent, off_boresight, pattern_db
+from testbed.radio.diffuse import rice_factor
 from testbed.radio.links import Ends
 from testbed.radio.movers import ELSEWHERE, Movers, Posed
 from testbed.radio.propagation import NEAREST, POLARISATION_DB
@@ -19,9 +20,9 @@ from testbed.radio.reflection import LARGE, Bounces, Mirrored, Reflectors, bounc
 from testbed.radio.sight import Obstacles, Sight, sight
 from testbed.scene import Scene
 from testbed.types import Antennas, Tags
-from testbed.units import SPEED_OF_LIGHT, db
+from testbed.units import SPEED_OF_LIGHT, db, from_db
 
-HEADROOM = 6.0  # dB by which the diffuse part may lift a path in the open: |D| > 3.4 once in 100,000 places
+RARE = 3.0  # amplitude of the diffuse field that is beaten at one place in 8,000: exp(-3²)
 IN_STEP = 6.0  # dB by which a reflection as strong as the direct path lifts it, as over a floor far away
 FAINT = 20.0  # dB below what wakes a tag: a reflection weaker than that moves the level at which it wakes by less than 1 dB
 
@@ -46,7 +47,7 @@ class Lines(Table):
     end: Array = column("float64", ("N", 3), "m")
     distance: Array = column("float64", unit="m")
     gain: Array = column("float64", unit="dBi")
-    worth: Array = column("float64", unit="dB that the link may lose before nothing is left to hear")
+    margin: Array = column("float64", unit="dB above what wakes the tag, if nothing stood in the way")
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +83,8 @@ class Radio:
         self.movers = Movers(scene)
         self.faces = reflectors(scene, config.min_face_m2, config.floor) if config.orders else Reflectors.empty()
         self._exponent = exponent(antennas.beamwidth)
-        gain = (tags.gain - tags.sensitivity).max(initial=-np.inf) - POLARISATION_DB + HEADROOM + (IN_STEP if config.orders else 0.0)
+        gain = (tags.gain - tags.sensitivity).max(initial=-np.inf) - POLARISATION_DB + (IN_STEP if config.orders else 0.0)
+        gain += float(self.lift(np.ones(1))[0])
         self.reach = self._heard_at(antennas.power + antennas.gain + gain) if limit else np.full(len(antennas), np.inf)
 
     def _heard_at(self, budget: Array) -> Array:
@@ -97,10 +99,8 @@ class Radio:
             hanging = posed.carried(self.far.body[tag], hanging, links)
         start, quaternion, end = looking[:, :3], looking[:, 3:], hanging[:, :3]
         gain, distance = self.gain(antenna, tag, quaternion, end - start)
-        worth = np.full(len(tag), np.inf)
-        if self.limit:
-            worth = self.budget(antenna, tag) + gain - self.spread(distance) + HEADROOM
-        return Lines(start=start, looking=quaternion, end=end, distance=distance, gain=gain, worth=worth)
+        margin = self.budget(antenna, tag) + gain - self.spread(distance)
+        return Lines(start=start, looking=quaternion, end=end, distance=distance, gain=gain, margin=margin)
 
     def gain(self, antenna: Array, tag: Array, looking: Array, towards: Array) -> tuple[Array, Array]:
         """Gain, dBi, of antennas turned to `looking` (N, 4) for what leaves `towards` (N, 3), the tag's and χ included; distance, m."""
@@ -111,6 +111,17 @@ class Radio:
     def budget(self, antenna: Array, tag: Array) -> Array:
         """dB between what is sent and what wakes the tag, antennas aside."""
         return self.antennas.power[antenna] - self.tags.sensitivity[tag]
+
+    def rice_factor(self, clear: Array) -> Array:
+        """(N,) K, linear, of paths by the share of their zone that is clear."""
+        return rice_factor(clear, float(from_db(self.config.open_k_db)))
+
+    def lift(self, clear: Array) -> Array:
+        """(N,) dB by which the diffuse part lifts a path at the most, by the share of its zone that is clear."""
+        if not self.config.diffuse:
+            return np.zeros(len(clear))
+        k = self.rice_factor(clear)
+        return 20 * np.log10((np.sqrt(k) + RARE) / np.sqrt(k + 1))
 
     def standing(self, links: int) -> Obstacles:
         """All that never moves, for so many links; every moving body is far away."""
@@ -123,7 +134,8 @@ class Radio:
 
     def sight(self, lines: Lines, obstacles: Obstacles) -> Sight:
         """Sight along straight lines."""
-        return self._look(lines.start, lines.end, obstacles, lines.worth)
+        worth = lines.margin + self.lift(np.zeros(len(lines))) if self.limit else np.full(len(lines), np.inf)
+        return self._look(lines.start, lines.end, obstacles, worth)
 
     def sight_mirrored(self, paths: Paths, lines: Lines, obstacles: Obstacles) -> Sight:
         """Sight along reflected paths of `lines`; `obstacles` know the paths as their links."""
@@ -147,12 +159,12 @@ class Radio:
         paths = Paths(**columns, gain=gain, image=images(found, lines.end, self.faces), level=level)
         return paths.take(level > -FAINT) if self.limit else paths
 
-    def audible(self, lines: Lines, loss: Array, paths: Paths, lost: Array) -> Array:
-        """(N,) bool: whether a tag may wake if all paths arrive in step and the diffuse part helps by `HEADROOM`.
+    def audible(self, lines: Lines, loss: Array, clear: Array, paths: Paths, lost: Array) -> Array:
+        """(N,) bool: whether a tag may wake if all paths arrive in step and the diffuse part helps as much as it ever does.
 
-        loss (N,) dB on the lines, lost (M,) dB on the paths.
+        loss (N,) dB on the lines, of which a share `clear` (N,) is open; lost (M,) dB on the paths.
         """
         if not self.limit:
             return np.ones(len(lines), dtype=bool)
-        amplitude = 10 ** ((lines.worth - loss) / 20)
+        amplitude = 10 ** ((lines.margin - loss + self.lift(clear)) / 20)
         return amplitude + np.bincount(paths.link, 10 ** ((paths.level - lost) / 20), len(lines)) >= 1

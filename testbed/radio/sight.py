@@ -66,15 +66,19 @@ class Obstacles:
 
     def on(self, link: Array, start: Array, end: Array) -> Obstruction:
         """Obstruction of rays `start` (M, 3) to `end` (M, 3), each of the link `link` (M,)."""
-        none = Obstruction(count=np.zeros(len(link)), loss=np.zeros(len(link)))
-        found = self._caster.static(start, end) if self._still else none
         if self._poses is None or self._instant is None or self._near is None:
-            return found
+            return self._caster.static(start, end)
         also = np.flatnonzero(self._near[link])
-        if not len(also):
-            return found
+        if self._still and not len(also):
+            return self._caster.static(start, end)
         moving = self._caster.moving(start[also], end[also], self._poses, self._instant[link[also]])
-        count, loss = np.array(found.count), np.array(found.loss)
+        if not self._still and len(also) == len(link):
+            return moving
+        if self._still:
+            found = self._caster.static(start, end)
+            count, loss = np.array(found.count), np.array(found.loss)
+        else:
+            count, loss = np.zeros(len(link), dtype=np.int32), np.zeros(len(link))
         count[also] += moving.count
         loss[also] += moving.loss
         return Obstruction(count=count, loss=loss)
