@@ -167,11 +167,18 @@ class Styles:
 
 def legend(figure: Figure, handles: Sequence[Artist]) -> None:
     """A legend below everything, so that it covers nothing; in as many columns as fit."""
-    if not handles:
-        return
+    if handles:
+        figure.legend(handles=handles, loc="outside lower left", ncols=_columns(figure.get_figwidth(), handles))
+
+
+def legend_height(width: float, handles: Sequence[Artist]) -> float:
+    """About how tall the legend of a figure of `width` inches will be, inches."""
+    return 0.17 * -(-len(handles) // _columns(width, handles)) + 0.1 if handles else 0.0
+
+
+def _columns(width: float, handles: Sequence[Artist]) -> int:
     longest = max(len(str(h.get_label())) for h in handles)
-    columns = max(1, min(len(handles), int(figure.get_figwidth() * DPI / (8.5 * (0.56 * longest + 5.0)))))
-    figure.legend(handles=handles, loc="outside lower left", ncols=columns)
+    return max(1, min(len(handles), int(width * DPI / (8.5 * (0.56 * longest + 5.0)))))
 
 
 def shorten(text: str, most: int = 26) -> str:

@@ -15,7 +15,23 @@ from testbed.columns import Array
 from testbed.report import palette, plan
 from testbed.report.amounts import counted, listed
 from testbed.report.cases import Case
-from testbed.report.figures import FULL, LAYER, Drawing, Styles, dots, drawing, frame_of, legend, new, settle, shape, shorten, styled
+from testbed.report.figures import (
+    DPI,
+    FULL,
+    LAYER,
+    Drawing,
+    Styles,
+    dots,
+    drawing,
+    frame_of,
+    legend,
+    legend_height,
+    new,
+    settle,
+    shape,
+    shorten,
+    styled,
+)
 from testbed.report.labels import Label, around, place
 from testbed.report.plan import Footprint
 
@@ -23,9 +39,9 @@ SHADE = {"wall": 0.55, "gate": 0.85, "rack": 0.16}  # of ink; other things
 OTHER = 0.3
 MARGIN, BEYOND = 0.4, 0.25  # m round the hall; of the hall's size, how far tracks may lead out of it
 ELLIPSES = 6  # along each track
-MARK = 3.5  # points
+MARK = 5.0  # points: an antenna's triangle is twice as long
 TOGETHER = 0.3  # m: antennas nearer to each other than this have one mark
-HALF, TALLEST = 6.2, 7.0  # inches: half a page, so that the letters have the page's own size
+HALF, TALLEST = 6.2, 6.6  # inches: half a page, so that the letters have the page's own size
 
 
 @styled
@@ -35,7 +51,8 @@ def floor_plan(case: Case, styles: Styles, name: str, where: str) -> Drawing:
     wide, tall = high - low
     width = FULL if case.is_wide else HALF
     inner = width - 0.75
-    height = min(TALLEST, inner * tall / wide + 1.1)
+    handles = _handles(case, styles)
+    height = min(TALLEST, inner * tall / wide + 0.8) + legend_height(width, handles)
     title = "Plan: where things were, and where they were said to be"
     figure = new(height, title, width)
     axes = figure.add_subplot()
@@ -45,10 +62,10 @@ def floor_plan(case: Case, styles: Styles, name: str, where: str) -> Drawing:
     axes.set(xlabel="x (m)", ylabel="y (m)")
     standing = plan.standing(case.scene)
     _hall(axes, case, standing)
-    numbered = _antennas(axes, case, 0.016 * float(max(wide, tall)))
+    numbered = _antennas(axes, case, MARK * float(wide) / (inner * DPI))
     _movers(axes, case)
     outside = _tracks(axes, case, styles, low, high)
-    legend(figure, _handles(case, styles))
+    legend(figure, handles)
     settle(figure)
     marks = [_mark(axes, spot) for spot, _ in numbered]
     homeless = place(axes, [*_gate_labels(standing), *_antenna_labels(numbered), *_rack_labels(standing), *_mover_labels(case)], marks)
@@ -94,9 +111,9 @@ def antenna_groups(case: Case) -> list[tuple[Array, float, list[int]]]:
 
 
 def _antennas(axes: Axes, case: Case, size: float) -> list[tuple[Array, str]]:
-    """Triangles that point where antennas look; returns each spot with the numbers of its antennas."""
+    """Triangles about `size` m that point where antennas look; returns each spot with the numbers of its antennas."""
     groups = antenna_groups(case)
-    corners = size * np.array([[1.3, 0.0], [-0.6, 0.55], [-0.6, -0.55]])
+    corners = size * np.array([[1.35, 0.0], [-0.75, 0.7], [-0.75, -0.7]])
     triangles = []
     for spot, yaw, _ in groups:
         turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])

@@ -11,7 +11,7 @@ from testbed.columns import Array
 from testbed.evaluate import Summary, per_trial, split
 from testbed.report.amounts import capital, counted
 from testbed.report.cases import Case
-from testbed.report.figures import Drawing, Styles, drawing, is_wide, legend, log_axis, new, settle, shorten, styled
+from testbed.report.figures import WIDTH, Drawing, Styles, drawing, is_wide, legend, legend_height, log_axis, new, settle, shorten, styled
 from testbed.report.study import MAIN, Study
 
 STEPS = 300  # of a distribution's curve
@@ -45,13 +45,14 @@ def error_distribution(study: Study, point: int, cases: Sequence[Case], styles: 
     if not panels:
         return None
     title = "Distribution of the position error: how often it is at most so large"
-    figure = new(3.1, title)
+    handles = [styles.handle(id) for id in styles.ids if any(id in values for *_, values in panels)]
+    figure = new(2.8 + legend_height(WIDTH, handles), title)
     grid = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
     for axes, (x_label, y_label, values) in zip(grid, panels, strict=True):
         _curves(axes, values, styles)
         axes.set(xlabel=x_label, ylabel=y_label, ylim=(0.0, 1.02))
         axes.tick_params(labelleft=True)
-    legend(figure, [styles.handle(id) for id in styles.ids if any(id in values for *_, values in panels)])
+    legend(figure, handles)
     settle(figure)
     return drawing(figure, name, title, _distribution_caption(study, point, over_trials, cases, panels))
 
@@ -129,7 +130,8 @@ def sweep(study: Study, styles: Styles, name: str) -> Drawing | None:
     title = f"{capital(spelled(study.main))} along the sweep"
     columns = min(3, len(shown))
     rows = -(-len(shown) // columns)
-    figure = new(2.5 * rows + 1.0, title)
+    handles = [styles.handle(id) for id in styles.ids]
+    figure = new(2.5 * rows + 0.7 + legend_height(WIDTH, handles), title)
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     every = np.concatenate([np.empty(0), *([s.statistics[study.main].mean] for s in study.summaries)])
     for axes, (which, points) in zip(grid.flat, shown, strict=False):
@@ -142,7 +144,7 @@ def sweep(study: Study, styles: Styles, name: str) -> Drawing | None:
         axes.set_visible(False)
     for axes in grid[:, 0]:
         axes.set_ylabel(spelled(study.main))
-    legend(figure, [styles.handle(id) for id in styles.ids])
+    legend(figure, handles)
     settle(figure)
     return drawing(figure, name, title, _sweep_caption(study, len(shown), len(groups)))
 

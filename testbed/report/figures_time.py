@@ -17,6 +17,7 @@ from testbed.report.amounts import counted, listed
 from testbed.report.cases import Aim, Case, Line
 from testbed.report.figures import (
     FULL,
+    WIDTH,
     Drawing,
     Styles,
     dots,
@@ -24,6 +25,7 @@ from testbed.report.figures import (
     frame_of,
     is_wide,
     legend,
+    legend_height,
     log_axis,
     new,
     settle,
@@ -54,7 +56,9 @@ def error_over_time(case: Case, styles: Styles, name: str, where: str) -> Drawin
         return None
     heights = [h for aim in case.aims for h in (1.75, 0.155 * max(3, len(aim.antennas)) + 0.1)]
     title = "Position error, and when antennas saw and read the target"
-    figure = new(sum(heights) + 0.55 * len(case.aims) + 0.6, title, FULL if case.is_wide else NARROW)
+    width = FULL if case.is_wide else NARROW
+    handles = [*(styles.handle(id) for id in _shown(case.aims, styles)), *_strip_handles(case.aims)]
+    figure = new(sum(heights) + 0.55 * len(case.aims) + 0.25 + legend_height(width, handles), title, width)
     grid = figure.subplots(len(heights), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights})[:, 0]
     for aim, above, below in zip(case.aims, grid[::2], grid[1::2], strict=True):
         _errors(above, aim, styles)
@@ -63,7 +67,7 @@ def error_over_time(case: Case, styles: Styles, name: str, where: str) -> Drawin
         _strip(below, aim, case)
     grid[-1].set_xlabel("time (s)")
     grid[-1].set_xlim(0.0, case.duration)
-    legend(figure, [*(styles.handle(id) for id in _shown(case.aims, styles)), *_strip_handles(case.aims)])
+    legend(figure, handles)
     figure.align_ylabels()
     settle(figure)
     caption = _error_caption(case, where)
@@ -213,9 +217,11 @@ def consistency(case: Case, styles: Styles, name: str, where: str) -> Drawing | 
     if not aims:
         return None
     title = "Consistency (NEES) over time: squared error by the filter's own covariance"
-    figure = new(1.75 * len(aims) + 1.15, title)
-    grid = figure.subplots(len(aims), 1, sharex=True, squeeze=False)[:, 0]
     dofs = sorted({line.dof for aim in aims for line in aim.lines if _positive(line).any()})
+    handles: list[Line2D | Patch] = [styles.handle(id) for id in _shown(aims, styles)]
+    handles += [Patch(**look, label=f"95 % of an honest filter, {dof} components") for dof, look in zip(dofs, BANDS, strict=False)]  # pyright: ignore[reportArgumentType]
+    figure = new(1.75 * len(aims) + 0.75 + legend_height(WIDTH, handles), title)
+    grid = figure.subplots(len(aims), 1, sharex=True, squeeze=False)[:, 0]
     for aim, axes in zip(aims, grid, strict=True):
         for line in aim.lines:
             shown = np.where(_positive(line) & (line.nees <= MOST_LOG), line.nees, np.nan)
@@ -228,8 +234,6 @@ def consistency(case: Case, styles: Styles, name: str, where: str) -> Drawing | 
             axes.set_title(shorten(aim.name, 60))
         axes.set_ylabel("NEES")
     grid[-1].set(xlabel="time (s)", xlim=(0.0, case.duration))
-    handles: list[Line2D | Patch] = [styles.handle(id) for id in _shown(aims, styles)]
-    handles += [Patch(**look, label=f"95 % of an honest filter, {dof} components") for dof, look in zip(dofs, BANDS, strict=False)]  # pyright: ignore[reportArgumentType]
     legend(figure, handles)
     settle(figure)
     return drawing(figure, name, title, _consistency_caption(aims, dofs, where))

@@ -27,7 +27,8 @@ from testbed.report.figures_plan import floor_plan
 from testbed.report.figures_run import error_distribution, sweep
 from testbed.report.figures_time import consistency, error_over_time, signal_strength
 from testbed.report.grids import Grid
-from testbed.report.study import Kept, Study, read
+from testbed.report.study import GONE, Kept, Study, read
+from testbed.scenario import from_text
 from testbed.worker import Failure
 
 NAME = "report.html"
@@ -159,11 +160,13 @@ def _contents(claims: bool, failures: bool) -> list[tuple[str, str]]:
 
 
 def _overrides(study: Study) -> str:
-    """The scenario as it ran, where the command's --set or options made another one of the text."""
-    document = study.manifest["scenario"]["document"]
-    words_ = [str(w) for w in study.manifest.get("command", [])]
-    changed = any(w.split("=")[0] in ("--set", "--trials", "--seed", "--estimator") for w in words_) or words_[:1] == ["testbed.run"]
-    return json.dumps(document, indent=1, ensure_ascii=False) if changed else ""
+    """The scenario as it ran, where the command's options or --set made another one of the text."""
+    scenario = study.manifest["scenario"]
+    try:
+        same = from_text(scenario["text"]).document == scenario["document"]
+    except GONE:  # its tables lay beside the file, or a plug-in is gone
+        same = False
+    return "" if same else json.dumps(scenario["document"], indent=1, ensure_ascii=False)
 
 
 # ---------------------------------------------------------------- results
