@@ -16,7 +16,7 @@ import numpy as np
 from testbed import frames
 from testbed.columns import Array
 from testbed.report import plan
-from testbed.report.cases import Aim, Case, Line
+from testbed.report.cases import Aim, Case, Line, instants
 from testbed.report.figures import Drawing, Frame, Styles
 from testbed.types import Reads
 
@@ -168,7 +168,7 @@ def _cloud(line: Line, ranges: list[tuple[float, float]]) -> dict[str, Any] | No
 def _bodies(case: Case, ranges: list[tuple[float, float]]) -> list[dict[str, Any]]:
     """Moving bodies: outline in their own frame, place and yaw at the times of the truth shown."""
     truth, found = case.trial.truth, []
-    t = case.aims[0].t if case.aims else np.linspace(0.0, case.duration, 2)
+    t = instants(case.duration)
     for i, (name, outline) in enumerate(zip(truth.bodies, plan.outlines(case.scene), strict=True)):
         pose = truth.pose(i, t)
         found.append(

@@ -96,8 +96,9 @@ def commands(study: Study) -> list[str]:
     if len(words) > 1:  # a program and what it was told
         program = "python -m testbed" if words[0].endswith("__main__.py") else Path(words[0]).name
         first = f"{program} {shlex.join(words[1:])}".strip()
-    trial = study.recordings[0].trial if study.recordings else 0
-    return [first, f"testbed rerun {shlex.quote(folder)} --trial {trial}"]
+    point, trial = (study.recordings[0].point, study.recordings[0].trial) if study.recordings else (0, 0)
+    which = f" --point {point}" if len(study.sets) > 1 else ""
+    return [first, f"testbed rerun {shlex.quote(folder)} --trial {trial}{which}"]
 
 
 # ---------------------------------------------------------------- what to keep in mind

@@ -436,3 +436,18 @@ def test_several_targets_each_have_marks_of_their_own(browser, several):
             row = track.target.tolist().index(target)
             assert (said["x"], said["y"]) == pytest.approx(tuple(track.mean[8, row, :2]), abs=2e-3)
         assert visit.said == []
+
+
+def test_a_hall_with_nothing_to_look_for_has_a_player_all_the_same(browser, tmp_path):
+    document = copy.deepcopy(testbed.load("empty-floor").document)
+    document |= {"targets": [], "actors": [{**document["actors"][0], "tags": []}], "cameras": []}
+    folder = tmp_path / "bare"
+    testbed.run({k: v for k, v in document.items() if k != "expect"}, trials=1, out=folder)
+    with Visit(browser, write(folder)) as visit:
+        assert visit.said == []
+        assert visit.do("testbedPlayer.estimators") == []
+        visit.do("testbedPlayer.seek(5)")
+        first = visit.do("document.querySelector('.live-layer .body').getAttribute('d')")
+        visit.do("testbedPlayer.seek(8)")
+        assert visit.do("document.querySelector('.live-layer .body').getAttribute('d')") != first
+        assert visit.said == []
