@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from testbed import archive
+from testbed.columns import Array
 from testbed.protocols import Renderer
 from testbed.report import shots
 from testbed.report.animation import animate
@@ -23,12 +24,16 @@ from testbed.report.traces import Trace, traces
 MOST = 8  # pictures of one recording in a page: `testbed render` writes them all
 QUALITY = 82  # of WebP
 ELLIPSES = 4  # along each track
+LEGEND = "Tracks are solid where they can be seen, faint and dashed where things hide them; ellipses hold 95 %."
 FRAMES = 36  # of the animation: it must not take longer than all the rest
 
 
 @dataclass(frozen=True)
 class Picture:
-    """An image of a page: what it shows in a few words, and in a sentence; its type and its bytes."""
+    """An image of a page: what it shows in a few words, and in a sentence; its type and its bytes.
+
+    calm : of a moving one, a picture that stands still, for those who want no motion
+    """
 
     title: str
     caption: str
@@ -36,11 +41,17 @@ class Picture:
     content: bytes
     width: int
     height: int
+    calm: bytes = b""
 
     @property
     def address(self) -> str:
         """The image itself as an address: nothing is fetched."""
         return f"data:{self.mime};base64,{base64.b64encode(self.content).decode()}"
+
+    @property
+    def calm_address(self) -> str:
+        """The same of the one that stands still; "" where this one does."""
+        return f"data:{self.mime};base64,{base64.b64encode(self.calm).decode()}" if self.calm else ""
 
 
 @dataclass(frozen=True)
@@ -79,23 +90,30 @@ def _filled(case: Case, cameras: Sequence[CameraSpec], renderer: Renderer, lines
     except OSError:  # a folder that is read only: the page has the pictures all the same
         taken = shots.capture(case.trial, case.scene, cameras, renderer)
     found = [_still(shot, lines) for shot in list(taken.values())[:MOST]]
+    if found:
+        found[0] = replace(found[0], caption=f"{found[0].caption} {LEGEND}")
     if moving:
         content = animate(case.trial, case.scene, cameras[0], renderer, lines, frames=FRAMES)
         text = f"The whole trial of {case.duration:g} s as the camera {cameras[0].id} sees it, over and over."
-        found.append(_picture("In motion", text, content))
+        picture = _picture("In motion", text, content)
+        found.append(replace(picture, calm=shots.webp(_first_frame(picture.title, content), QUALITY)))
     more = len(taken) - MOST
     return Album(tuple(found), f"{more} more pictures: testbed render writes them all." if more > 0 else "")
 
 
 def _still(shot: shots.Shot, lines: list[Trace]) -> Picture:
     rgb = draw(shot.image, lines, now=shot.t, ellipses=ELLIPSES)
-    text = f"At {shot.t:.1f} s. Tracks are solid where they can be seen, faint and dashed where things hide them; ellipses hold 95 %."
-    return _picture(f"Camera {shot.camera}, {shot.moment}", text, shots.webp(rgb, QUALITY))
+    return _picture(f"Camera {shot.camera}, {shot.moment}", f"At {shot.t:.1f} s.", shots.webp(rgb, QUALITY))
 
 
 def _picture(title: str, caption: str, content: bytes) -> Picture:
-    first = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_COLOR)
+    height, width = _first_frame(title, content).shape[:2]
+    return Picture(title, caption, "image/webp", content, width, height)
+
+
+def _first_frame(title: str, content: bytes) -> Array:
+    """(H, W, 3) uint8, RGB."""
+    first = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_COLOR_RGB)
     if first is None:
         raise RuntimeError(f"{title}: OpenCV can't read its own picture")
-    height, width = first.shape[:2]
-    return Picture(title, caption, "image/webp", content, width, height)
+    return first

@@ -1,5 +1,6 @@
 """The report as people meet it, in a headless browser: quiet, quick, complete, and the player shows what the recording holds."""
 
+import base64
 import copy
 import shutil
 from pathlib import Path
@@ -413,6 +414,8 @@ def test_nothing_moves_by_itself_and_little_where_people_want_no_motion(browser,
             })"""
         )
         assert 2 <= pictures <= 4  # one each half second
+        moving = visit.page.get_by_alt_text("In motion").evaluate("(image) => image.currentSrc")
+        assert b"ANIM" not in base64.b64decode(moving.partition(",")[2])
 
 
 def test_everything_that_can_be_worked_has_a_name(visit):

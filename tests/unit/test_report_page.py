@@ -42,7 +42,7 @@ def written(folder):
 class Reader(HTMLParser):
     """Text, tags and attributes of a page, and whether its tags close in order."""
 
-    VOID = frozenset({"meta", "link", "input", "img", "br", "use", "path", "rect"})
+    VOID = frozenset({"meta", "link", "input", "img", "source", "br", "use", "path", "rect"})
 
     def __init__(self, content):
         super().__init__()
@@ -337,6 +337,11 @@ def test_camera_pictures_stand_in_the_page_with_their_size(tmp_path):
     assert [alt.split(".")[0] for _, alt, *_ in images] == ["Camera overview, middle", "In motion"]
     assert all(base64.b64decode(data)[8:12] == b"WEBP" for data, *_ in images)
     assert all(int(width) >= 300 and int(height) >= 200 for *_, width, height in images)
+    calm = re.findall(r'<source media="\(prefers-reduced-motion: reduce\)" srcset="data:image/webp;base64,([^"]+)">', written)
+    assert len(calm) == 1
+    assert b"ANIM" not in base64.b64decode(calm[0])
+    assert b"ANIM" in base64.b64decode(images[1][0])
+    assert Reader(written).wrong == []
     assert list((fakes.place(folder) / "cameras").glob("*.png"))  # kept beside the recording
 
 
