@@ -23,7 +23,7 @@ Shape = tuple[str | int, ...]
 def column(dtype: str, shape: Shape = ("N",), unit: str = "", default: Any = None) -> Any:
     """A dataclass field that holds one array: `dtype` as numpy names it ("str" for text), `shape` in letters and numbers.
 
-    `default` fills the array where the caller leaves the field out (it may only depend on the other fields' lengths).
+    `default` fills the array where the caller leaves the field out; a dimension that no other field has is then 0.
     """
     metadata = {"dtype": dtype, "shape": shape, "unit": unit, "fill": default}
     return field(metadata=metadata) if default is None else field(default=None, metadata=metadata)
@@ -42,7 +42,7 @@ class Columns:
         for f in sorted(declared, key=lambda f: f.metadata["fill"] is not None):  # those with a default last: they need the sizes
             value = getattr(self, f.name)
             if value is None and f.metadata["fill"] is not None:
-                value = np.full([sizes[d][0] if isinstance(d, str) else d for d in f.metadata["shape"]], f.metadata["fill"])
+                value = np.full([sizes.get(d, (0,))[0] if isinstance(d, str) else d for d in f.metadata["shape"]], f.metadata["fill"])
             object.__setattr__(self, f.name, self._checked(f.name, f.metadata, value, sizes))
 
     def _checked(self, name: str, declared: Mapping[str, Any], value: Any, sizes: dict[str, tuple[int, str]]) -> Array:

@@ -19,7 +19,7 @@ from testbed.columns import Array, Columns
 from testbed.events import Batch, Merge
 from testbed.feeds import feeds
 from testbed.lift import over_rows
-from testbed.protocols import AcceptsLate, Estimator
+from testbed.protocols import AcceptsLate, Estimator, HasParticles
 from testbed.recording import Recording
 from testbed.rng import Counter, RowRandom, keys_of
 from testbed.types import Estimate, Event, Innovations, Prior, Site, Track, UpdateInfo
@@ -34,12 +34,14 @@ def run(
     *,
     report_hz: float = 10.0,
     hold_s: float = 0.0,
+    particles: int = 0,
 ) -> Track:
     """The track of every target of every recording, estimated by `method` (an Estimator or SingleTarget class) with its `config`.
 
     Rows are numbered by recording, then target; `prior` (B rows) and `seeds` ((B,) uint64, see `row_seeds`) are in that order, and so
     is the track. Reports fall at 0, 1/report_hz, ... up to the recordings' duration, which they must share. Recordings of one site
     share an estimator object, others (a survey error of their own) get one each; the numbers don't depend on it.
+    Of a method that has particles, `particles` of each row are kept at every report, for drawing.
     ValueError for input that doesn't fit together, and what the method itself says of its site.
     """
     ticks = _checked(recordings, prior, seeds, report_hz, hold_s)
@@ -49,7 +51,7 @@ def run(
     for group in _by_site([r.site for r in recordings]):
         rows = np.concatenate([np.arange(first[i], first[i + 1]) for i in group])
         one = estimator(config, recordings[group[0]].site, RowRandom(np.asarray(seeds)[rows]))
-        parts.append(_Run(one, [recordings[i] for i in group], prior.take(rows), ticks, hold_s).track())
+        parts.append(_Run(one, [recordings[i] for i in group], prior.take(rows), ticks, hold_s, particles).track())
         order.append(rows)
     return _assembled(parts, np.concatenate(order))
 
@@ -78,13 +80,16 @@ def _checked(recordings: Sequence[Recording], prior: Prior, seeds: Array, report
 class _Run:
     """One estimator object on the recordings of one site."""
 
-    def __init__(self, estimator: Estimator, recordings: Sequence[Recording], prior: Prior, ticks: Array, hold: float) -> None:
+    def __init__(
+        self, estimator: Estimator, recordings: Sequence[Recording], prior: Prior, ticks: Array, hold: float, particles: int
+    ) -> None:
         self._estimator, self._recordings, self._ticks = estimator, recordings, ticks
         self._present, self._prior = np.array(prior.t), prior
         accepts = isinstance(estimator, AcceptsLate) and bool(estimator.accepts_late)
         self._merge = Merge(feeds(recordings, estimator.consumes, hold), ticks, prior.t, accepts)
         self._used, self._refused = np.zeros(prior.rows, dtype=np.int64), np.zeros(prior.rows, dtype=np.int64)
         self._seconds = np.zeros(prior.rows)
+        self._kept = particles if isinstance(estimator, HasParticles) else 0
         self._innovations: list[Innovations] = []
         self._reported = 0
 
@@ -109,10 +114,13 @@ class _Run:
         if not self._reported:
             shape, n = (len(self._ticks), len(self._present)), len(estimate.components)
             self._components = estimate.components
+            self._particles = np.zeros((*shape, self._kept, 3), dtype=np.float32)
             self._mean, self._covariance, self._status = np.empty((*shape, n)), np.empty((*shape, n, n)), np.empty(shape, dtype=np.int8)
         # copied: an estimator may show its own arrays, and change them afterwards
         k = self._reported
         self._mean[k], self._covariance[k], self._status[k] = estimate.mean, estimate.covariance, estimate.status
+        if self._kept and isinstance(self._estimator, HasParticles):
+            self._particles[k] = thinned(*self._estimator.particles(), self._kept)
         self._reported += 1
 
     def _take(self, batch: Batch) -> None:
@@ -149,9 +157,22 @@ class _Run:
             refused=self._refused,
             late=self._merge.late,
             update_seconds=self._seconds,
+            particles=self._particles,
             components=self._components,
             innovations=innovations.take(np.argsort(innovations.row, kind="stable")),
         )
+
+
+def thinned(position: Array, weight: Array, n: int) -> Array:
+    """(B, n, 3): n equally weighted samples of particles at `position` (B, N, 3) with `weight` (B, N), by systematic resampling.
+
+    Without a random number: the points of the resampling comb are (i + 1/2)/n.
+    """
+    total = np.cumsum(weight, axis=1)
+    comb = (np.arange(n) + 0.5) / n
+    rows = np.arange(len(position))
+    place = np.stack([np.searchsorted(total[b] / total[b, -1], comb) for b in rows]) if len(rows) else np.empty((0, n), dtype=np.int64)
+    return position[rows[:, None], np.minimum(place, weight.shape[1] - 1)]
 
 
 def _by_site(sites: list[Site]) -> list[list[int]]:
@@ -184,7 +205,7 @@ def _assembled(parts: list[Track], rows: Array) -> Track:
     if len(parts) == 1:
         return parts[0]
     axis0 = {n: np.concatenate([getattr(p, n) for p in parts]) for n in ("trial", "target", "used", "refused", "late", "update_seconds")}
-    axis1 = {n: np.concatenate([getattr(p, n) for p in parts], axis=1) for n in ("mean", "covariance", "status")}
+    axis1 = {n: np.concatenate([getattr(p, n) for p in parts], axis=1) for n in ("mean", "covariance", "status", "particles")}
     before = np.cumsum([0] + [len(p.trial) for p in parts])
     innovations = [p.innovations.with_(row=p.innovations.row + n) for p, n in zip(parts, before[:-1], strict=True)]
     whole = parts[0].with_(**axis0, **axis1, innovations=Innovations.concatenate(innovations))
@@ -198,5 +219,5 @@ def _reordered(track: Track, order: Array) -> Track:
     place = np.argsort(order)
     renamed = track.innovations.with_(row=place[track.innovations.row].astype(np.int32))
     axis0 = {n: getattr(track, n)[order] for n in ("trial", "target", "used", "refused", "late", "update_seconds")}
-    axis1 = {n: getattr(track, n)[:, order] for n in ("mean", "covariance", "status")}
+    axis1 = {n: getattr(track, n)[:, order] for n in ("mean", "covariance", "status", "particles")}
     return track.with_(**axis0, **axis1, innovations=renamed.take(np.argsort(renamed.row, kind="stable")))

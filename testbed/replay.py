@@ -17,7 +17,7 @@ from testbed.prior import draw_prior
 from testbed.scenario import Scenario, Section
 from testbed.store import StoreError, read_manifest
 from testbed.types import Track
-from testbed.worker import config_hash, stack
+from testbed.worker import PARTICLES, config_hash, stack
 
 
 @dataclass(frozen=True)
@@ -90,6 +90,7 @@ def _one(scenario: Scenario, section: Section, place: Path) -> tuple[Track, Rows
         row_seeds(scenario.seed, recordings, section.id),
         report_hz=scenario.report_hz,
         hold_s=scenario.hold_s,
+        particles=PARTICLES,
     )
     metrics = {s.id: load("metrics", s.kind)(s.config) for s in scenario.metrics}
     return track, score(track, trial, metrics)

@@ -291,7 +291,10 @@ class Innovations(Table):
 
 @dataclass(frozen=True, eq=False)
 class Track(Columns):
-    """Estimates stacked over K report times, for B rows (trial, target), and what happened to the events on the way."""
+    """Estimates stacked over K report times, for B rows (trial, target), and what happened to the events on the way.
+
+    particles holds P equally weighted samples of each belief where the method has particles and they were asked for, else P is 0.
+    """
 
     t: Array = column("float64", ("K",), "s")
     mean: Array = column("float64", ("K", "B", "n"))
@@ -303,6 +306,7 @@ class Track(Columns):
     refused: Array = column("int64", ("B",))  # events the estimator would not use (a gate, a NaN)
     late: Array = column("int64", ("B",))  # events dropped because the row had passed their time
     update_seconds: Array = column("float64", ("B",), "s")  # wall time of predict and update, shared among the rows of a call
+    particles: Array = column("float32", ("K", "B", "P", 3), "m", default=0.0)
     components: tuple[str, ...] = POSITION_VELOCITY
     innovations: Innovations = field(default_factory=Innovations.empty)
 
@@ -312,7 +316,7 @@ class Track(Columns):
         innovations = self.innovations.take(keep)
         renamed = innovations.with_(row=np.searchsorted(rows, innovations.row).astype(np.int32))
         axis0 = {n: getattr(self, n)[rows] for n in ("trial", "target", "used", "refused", "late", "update_seconds")}
-        axis1 = {n: getattr(self, n)[:, rows] for n in ("mean", "covariance", "status")}
+        axis1 = {n: getattr(self, n)[:, rows] for n in ("mean", "covariance", "status", "particles")}
         return self.with_(**axis0, **axis1, innovations=renamed)
 
 

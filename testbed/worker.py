@@ -31,6 +31,7 @@ from testbed.simulate import Simulator
 from testbed.types import Track
 
 HASH_SHOWN = 16  # hex digits of a hash in a row; the manifest has the whole
+PARTICLES = 100  # of each belief that recordings keep, for the report's player
 BAD_INPUT = (ScenarioError, UnknownPlugin, BrokenPlugin, archive.StoreError)  # these stop the run; all else is a trial's own failure
 
 
@@ -164,6 +165,7 @@ class _Work:
 
     def __init__(self, block: Block) -> None:
         self._point = block.point
+        self._particles = PARTICLES if block.keep else 0
         self.failures: list[Failure] = []
         self.timings: list[Rows] = []
         self.notes: list[str] = []
@@ -217,6 +219,7 @@ class _Work:
             row_seeds(scenario.seed, recordings, section.id),
             report_hz=scenario.report_hz,
             hold_s=scenario.hold_s,
+            particles=self._particles,
         )
         tracks = {r.trial: together.take(np.flatnonzero(together.trial == r.trial)) for r in recordings}
         for number, track in tracks.items():

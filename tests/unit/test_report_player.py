@@ -183,8 +183,7 @@ def test_a_track_with_particles_is_shown_as_a_cloud(tmp_path):
     cloud = np.random.default_rng(2).normal(size=(41, 1, 40, 3)) + 3.0
 
     def with_particles(track):
-        own = {name: getattr(track, name) for name in track.__dataclass_fields__}
-        return fakes.CloudTrack(**own, particles=cloud)
+        return track.with_(particles=cloud)
 
     fakes.rewrite(folder, "ekf", with_particles)
     read = study.read(folder)

@@ -1,14 +1,11 @@
 """Runs to report on: small, without physics, and bent where a test wants something rare."""
 
 import copy
-from dataclasses import dataclass
 
 import numpy as np
 
 import testbed
 from testbed import archive, tables
-from testbed.columns import Array, column
-from testbed.types import Track
 
 QUICK = {
     "name": "quick",
@@ -32,13 +29,6 @@ QUICK = {
     "estimators": [{"kind": "ekf"}, {"kind": "ukf"}, {"kind": "centroid"}],
     "expect": {"ekf": {"position_error_m": {"mean": {"max": 5.0}}}, "ekf - ukf": {"position_error_m": {"mean": {"max": -9.0}}}},
 }
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class CloudTrack(Track):
-    """A track that keeps its particles."""
-
-    particles: Array = column("float64", ("K", "B", "N", 3), "m")
 
 
 def quick(out, changes=None, **options):
