@@ -206,5 +206,5 @@ def _setting(scenario: Scenario | None, metric: str, name: str, otherwise: Any) 
 
 
 def _cloud(track: Track) -> Array | None:
-    """(K, P, 2) m: the particles of the first target, None of a method that has none."""
-    return np.asarray(track.particles[:, 0, :, :2], dtype=np.float64) if track.particles.size else None
+    """(K, N, 2) m of a track that keeps its particles."""
+    return np.asarray(track.particles, dtype=np.float64)[:, 0, :, :2] if track.particles.size else None

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import testbed
-from testbed import archive
-from testbed.report import cases, study, write
+from testbed import archive, tables
+from testbed.report import album, cases, page, study, write
 from testbed.report.figures import Styles
 from testbed.report.figures_plan import floor_plan
 from testbed.report.figures_time import error_over_time
@@ -454,3 +454,22 @@ def test_a_hall_with_nothing_to_look_for_has_a_player_all_the_same(browser, tmp_
         visit.do("testbedPlayer.seek(8)")
         assert visit.do("document.querySelector('.live-layer .body').getAttribute('d')") != first
         assert visit.said == []
+
+
+def test_a_method_with_particles_shows_its_cloud_in_place_of_an_ellipse(browser, demo, first, tmp_path, monkeypatch):
+    monkeypatch.setattr(page, "album", lambda *_, **__: album.Album())
+    folder = tmp_path / "cloud"
+    shutil.copytree(demo, folder)
+    kept = study.read(folder).recordings[0].folder
+    track = archive.load_tracks(kept)["ekf"]
+    cloud = track.mean[:, :, None, :3] + np.random.default_rng(4).normal(size=(len(track.t), 1, 50, 3))
+    tables.write(track.with_(particles=cloud), kept / "tracks" / "ekf.parquet")
+    with Visit(browser, write(folder)) as visit:
+        visit.do("testbedPlayer.seek(5)")
+        path = visit.page.locator('g[data-estimator="ekf"] .cloud')
+        assert path.get_attribute("d").count("M") == 50
+        box, scale = path.bounding_box(), visit.do("document.getElementById('plan-0').getScreenCTM().a")
+        assert box["width"] / scale == pytest.approx(np.ptp(cloud[50, 0, :, 0]) * first[2].frames[0].u_scale, abs=3.0)
+        assert not visit.page.locator('g[data-estimator="ekf"] .ring').is_visible()
+        assert visit.page.locator('g[data-estimator="ukf"] .ring').is_visible()
+        assert not visit.page.locator('g[data-estimator="ukf"] .cloud').is_visible()

@@ -2,8 +2,6 @@
 
 import copy
 
-import numpy as np
-
 import testbed
 from testbed import archive, tables
 
@@ -46,11 +44,3 @@ def rewrite(folder, estimator, change, point=0, trial=0):
     """Replace an estimator's track in a kept recording by what `change` makes of it."""
     tracks = archive.load_tracks(place(folder, point, trial))
     tables.write(change(tracks[estimator]), place(folder, point, trial) / "tracks" / f"{estimator}.parquet")
-
-
-def lengthened(track, seconds, rate=10.0):
-    """A track of another length: its first row's states over and over."""
-    n = int(seconds * rate) + 1
-    index = np.arange(n) % len(track.t)
-    parts = {name: getattr(track, name)[index] for name in ("mean", "covariance", "status")}
-    return track.with_(t=np.arange(n) / rate, **parts)
