@@ -22,8 +22,10 @@ def _warm():
 
 
 @pytest.fixture
-def project(pytester, _warm):
+def project(pytester, _warm, monkeypatch):
     """A folder whose scenarios/ are collected, with small.yaml in it."""
+    for name in ("CI", "BUILD_NUMBER"):  # there pytest's summary tells every message in full once more
+        monkeypatch.delenv(name, raising=False)
     pytester.makefile(".ini", pytest="[pytest]\ntestbed_scenarios = scenarios\n")
     pytester.mkdir("scenarios")
     (pytester.path / "scenarios" / "small.yaml").write_text(SMALL + EXPECT)
