@@ -10,7 +10,8 @@ from testbed import frames
 from testbed.plugins import suggest
 from testbed.radio.links import Ends
 from testbed.scene import WORLD, Scene
-from testbed.sensors.rfid_section import AntennaRule, RfidConfig
+from testbed.sensors.antenna_rule import AntennaRule
+from testbed.sensors.rfid_section import RfidConfig
 from testbed.types import Antennas
 
 
