@@ -28,6 +28,7 @@ from testbed.rng import Counter
 LOGIT = (-4.9433, 0.8370, 0.0552)  # constant, per metre, per degree
 WIDEST, MIDDLE, HALF_RANGE, HALF_ANGLE, FARTHEST = 0.05, 5.5, 4.0, 60.0, 10.0
 SHARE = 0.6  # of m(1 - m), which no variance reaches
+NEVER = 30.0  # m: on boresight a query is answered there once in 600 million
 
 Scope = Literal["count", "round", "antenna", "run"]
 
@@ -68,11 +69,18 @@ def beta_of(mean: ArrayLike, variance: ArrayLike) -> tuple[Array, Array]:
 
 def counts(mean: Array, variance: Array, queries: int, draws: Counter, keys: tuple[Array, ...]) -> Array:
     """(N,) int64 counts of N blocks of `queries` queries each, dead zones aside. `keys` are integers that identify each block."""
-    spread = variance > 0
-    alpha, beta = beta_of(mean, np.where(spread, variance, 1.0))
-    drawn = betaincinv(np.where(spread, alpha, 1.0), np.where(spread, beta, 1.0), draws.uniform(np.int64(0), *keys))
-    probability = np.where(spread, drawn, mean)
+    probability, spread = np.array(mean), np.flatnonzero(variance > 0)
+    u = draws.uniform(np.int64(0), *(k[spread] for k in keys))
+    probability[spread] = betaincinv(*beta_of(mean[spread], variance[spread]), u)
     return sum((draws.uniform(np.int64(1), *keys, np.int64(q)) < probability for q in range(queries)), np.zeros(len(mean), dtype=np.int64))
+
+
+def alive(distance: Array, angle: Array, queries: int, draws: Counter, keys: tuple[Array, ...]) -> Array:
+    """(N,) int64 counts of N blocks over distances (m) and angles (rad), dead zones aside. Farther off than NEVER nobody answers."""
+    n, near = np.zeros(len(distance), dtype=np.int64), np.flatnonzero(distance < NEVER)
+    d, a = distance[near], angle[near]
+    n[near] = counts(mean(d, a), variance(d, a), queries, draws, tuple(k[near] for k in keys))
+    return n
 
 
 def residual(config: DeadZoneConfig, draws: Counter, antenna: Array, round: Array, tag: Array) -> Array:
@@ -92,7 +100,7 @@ def blocks(
     keys: tuple[Array, Array, Array],
 ) -> Array:
     """(N,) int64: how often tags are read in N blocks of `queries` queries; keys are those of antennas, rounds and tags (N,) each."""
-    n = counts(mean(distance, angle), variance(distance, angle), queries, draws, keys)
+    n = alive(distance, angle, queries, draws, keys)
     return np.where(dead(geometric, residual(config, draws, *keys), draws, keys), 0, n)
 
 
