@@ -20,6 +20,8 @@ from testbed.evaluate import KEYS, ClaimResult, Interval, Rows, Summary, check_c
 from testbed.keep import DEFAULT, Keep, predict_size
 from testbed.manifest import BLOCK, describe, differences, rebuilt
 from testbed.progress import Progress, Silent
+from testbed.published import compare
+from testbed.published import document as published_document
 from testbed.recording import Trial
 from testbed.scenario import Scenario
 from testbed.store import Store, StoreError, read_manifest
@@ -84,6 +86,7 @@ class RunResult:
             "trials": self.scenario.trials,
             "points": points,
             "expect": [claim.document() for claim in self.claims],
+            "published": published_document(compare(self.scenario.published, self.rows, self.world), [point["set"] for point in points]),
             "failures": [
                 {"point": f.point, "trial": f.trial, "estimator": f.estimator, "stage": f.stage, "error": f.error} for f in self.failures
             ],

@@ -234,18 +234,18 @@ class ClaimResult:
 
 
 def check_claims(claims: Iterable[Any], rows: Rows, world: Rows, points: Sequence[int]) -> list[ClaimResult]:
-    """Judge claims (`testbed.scenario.Claim`) at every point.
+    """Judge claims (`testbed.scenario.Claim`) at every point that they speak of.
 
     world : columns "point", "trial" and one a stimulus. A plain claim compares the mean over trials itself. A paired one ("a - b")
     with the bound "min" holds where the lower 95 % limit of the mean difference reaches it, with "max" where the upper
     limit stays within. A claim about something that has no value fails, and its note says why.
     """
-    return [_check(claim, rows, world, point) for claim in claims for point in points]
+    return [_check(claim, rows, world, point) for claim in claims for point in points if claim.concerns(point)]
 
 
 def _check(claim: Any, rows: Rows, world: Rows, point: int) -> ClaimResult:
     is_pair = " - " in claim.subject
-    interval, note = _claimed(claim, rows, world, point)
+    interval, note = figure_of(claim, rows, world, point)
     compared = interval.mean
     if is_pair and not np.isnan(compared):
         compared = interval.low if claim.bound == "min" else interval.high
@@ -255,8 +255,8 @@ def _check(claim: Any, rows: Rows, world: Rows, point: int) -> ClaimResult:
     return ClaimResult(point, claim.text, claim.line, interval.mean, (interval.low, interval.high), ok, note)
 
 
-def _claimed(claim: Any, rows: Rows, world: Rows, point: int) -> tuple[Interval, str]:
-    """What a claim speaks of, and a note where it has no value."""
+def figure_of(claim: Any, rows: Rows, world: Rows, point: int) -> tuple[Interval, str]:
+    """The figure that a claim speaks of at a point, its bound aside, and a note where it has no value."""
     nothing = mean_interval(np.empty(0))
     if claim.subject == "world":
         table, column = world, claim.metric

@@ -112,7 +112,7 @@ def judged(scenario: Scenario, jobs: int | Literal["auto"] = 1) -> list[Verdict]
 
 def claimed(scenario: Scenario) -> list[tuple[Claim, Point]]:
     """Each claim at each point, as a run judges them: claim by claim."""
-    return [(claim, point) for claim in scenario.expect for point in scenario.points()]
+    return [(claim, point) for claim in scenario.expect for point in scenario.points() if claim.concerns(point.index)]
 
 
 def crashed(scenario: Scenario, failures: Sequence[Failure]) -> str:

@@ -27,6 +27,7 @@ from testbed.report.figures_plan import floor_plan
 from testbed.report.figures_run import error_distribution, sweep
 from testbed.report.figures_time import consistency, error_over_time, signal_strength
 from testbed.report.grids import Grid
+from testbed.report.published import published
 from testbed.report.study import GONE, Kept, Study, read
 from testbed.scenario import from_text
 from testbed.worker import Failure
@@ -112,7 +113,7 @@ def page(study: Study) -> str:
     points = [_point(study, point, found.cases, styles) for point in dict.fromkeys(s.point for s in study.summaries)]
     failures, failure_notes = _failures(study.failures)
     verdict = words.verdict(study)
-    claims = grids.claims(study)
+    claims, papers = grids.claims(study), published(study)
     text = str(study.manifest["scenario"]["text"])
     context = {
         "title": study.title,
@@ -121,7 +122,7 @@ def page(study: Study) -> str:
         "summary": words.summary(study),
         "verdict": {"text": verdict[0], "mark": "good" if verdict[1] else "bad"} if verdict else None,
         "gap": study.gap,
-        "contents": _contents(bool(claims), bool(failures)),
+        "contents": _contents(bool(claims), bool(papers), bool(failures)),
         "identity": grids.identity(study),
         "commands": words.commands(study),
         "text": text,
@@ -131,6 +132,7 @@ def page(study: Study) -> str:
         "why_none": "every trial failed, see below." if study.failures else "the scenario names no estimator, or no target.",
         "sweep": sweep(study, styles, "sweep"),
         "claims": claims,
+        "papers": papers,
         "first": shown[0] if shown else None,
         "others": shown[1:],
         "no_recording": _no_recording(study),
@@ -151,8 +153,9 @@ def _rendered(context: dict[str, Any]) -> str:
     return environment.from_string(source).render(page=context, style=style, script=script, script_hash=digest)
 
 
-def _contents(claims: bool, failures: bool) -> list[tuple[str, str]]:
+def _contents(claims: bool, papers: bool, failures: bool) -> list[tuple[str, str]]:
     found = [("again", "What was run"), ("results", "Results")]
+    found += [("published", "Beside the paper")] if papers else []
     found += [("claims", "Expectations")] if claims else []
     found += [("recordings", "One trial, seen")]
     found += [("failures", "What failed")] if failures else []

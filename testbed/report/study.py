@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -65,7 +65,7 @@ class Study:
 
     sets     : by point of the sweep, what it sets
     main     : the column of the results that is drawn and compared, None where there are no results
-    world    : by point, the mean over trials of each stimulus
+    world    : by point, the mean over trials of each stimulus; stimuli: the table behind it
     wall     : by (point, estimator), wall time per update in s, mean over trials
     scenario : None where it can't be built any more; then there are no claims either
     """
@@ -86,6 +86,7 @@ class Study:
     scenario: Scenario | None
     started: str
     gap: str = ""
+    stimuli: Rows = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -134,6 +135,7 @@ def read(folder: Path) -> Study:
         scenario=scenario,
         started=_started(folder),
         gap=gap,
+        stimuli=world,
     )
 
 

@@ -10,11 +10,13 @@ from testbed.scenario.claims import Claim
 from testbed.scenario.load import find, from_dict, from_text, listing, load, only, override
 from testbed.scenario.model import ActorSection, PriorModel, Section, SurveyModel, TagRule
 from testbed.scenario.problems import DataMissing, Problem, ScenarioError
+from testbed.scenario.published import Figure, Publication, PublishedTable
 from testbed.scenario.scenario import Point, Scenario
 from testbed.scenario.schema import json_schema
 from testbed.scenario.starter import starter
 
 __all__ = [
-    "ActorSection", "Claim", "DataMissing", "Point", "PriorModel", "Problem", "Route", "Scenario", "ScenarioError", "Section",
-    "SurveyModel", "TagRule", "find", "from_dict", "from_text", "json_schema", "listing", "load", "only", "override", "starter",
+    "ActorSection", "Claim", "DataMissing", "Figure", "Point", "PriorModel", "Problem", "Publication", "PublishedTable", "Route",
+    "Scenario", "ScenarioError", "Section", "SurveyModel", "TagRule", "find", "from_dict", "from_text", "json_schema", "listing",
+    "load", "only", "override", "starter",
 ]  # fmt: skip

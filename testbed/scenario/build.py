@@ -11,9 +11,10 @@ from typing import Any
 from testbed import plugins
 from testbed.report.cameras import CameraSpec
 from testbed.scenario import overrides, sections, tags
-from testbed.scenario.claims import claims
+from testbed.scenario.claims import Claim, claims
 from testbed.scenario.model import MAX_INSTANTS, MAX_REPORTS, MAX_RUNS, Document
 from testbed.scenario.problems import Loc, Problem
+from testbed.scenario.published import Publication, publications
 from testbed.scenario.scenario import Point, Scenario
 from testbed.scenario.source import Review, Source
 from testbed.scenario.wording import shown
@@ -38,7 +39,17 @@ def build(document: Any, source: Source, text: str, path: Path | None) -> Scenar
     review.finish()
     if whole is None:
         raise AssertionError("a document without mistakes makes a scenario")
-    return replace(whole, swept=tuple(points), document=_with_files(document, points, source))
+    published, kept = _published(document, whole, points, review)
+    review.finish()
+    document = _with_files(document, points, source)
+    return replace(whole, swept=tuple(points), published=published, expect=(*whole.expect, *kept), document=document)
+
+
+def _published(
+    document: dict[str, Any], whole: Scenario, points: list[Point], review: Review
+) -> tuple[tuple[Publication, ...], tuple[Claim, ...]]:
+    columns = sections.columns(list(whole.metrics), review)
+    return publications(document.get("published"), points or [Point(0, {}, whole)], _ids(document.get("estimators")), columns, review)
 
 
 def _points(

@@ -21,7 +21,8 @@ class Claim:
     """One bound on one figure.
 
     subject is an estimator's id, a paired difference "ekf - ukf", or "world" (the stimulus). statistic is "" for a figure
-    that is one number. line is None where the claim is not in the file.
+    that is one number. line is None where the claim is not in the file; point is the one point of the sweep that it speaks of, None
+    for all of them.
     """
 
     subject: str
@@ -30,6 +31,7 @@ class Claim:
     bound: Literal["min", "max"]
     value: float
     line: int | None = field(default=None, compare=False)
+    point: int | None = None
 
     @property
     def column(self) -> str:
@@ -47,6 +49,10 @@ class Claim:
         subject = f"({self.subject})" if len(self.estimators) == 2 else self.subject
         return f"{subject}.{self.column} {_SIGNS[self.bound]} {self.value:.12g}"
 
+    def concerns(self, point: int) -> bool:
+        """Whether it speaks of the point of the sweep with this index."""
+        return self.point is None or self.point == point
+
     def holds(self, value: float) -> bool:
         """Whether a figure keeps the bound; NaN, a figure that could not be had, never does."""
         return value >= self.value if self.bound == "min" else value <= self.value
@@ -57,7 +63,7 @@ def claims(raw: Any, estimators: Sequence[str], columns: Sequence[str] | None, r
     found: list[Claim] = []
     for subject, metrics in raw.items() if isinstance(raw, dict) else ():
         loc: Loc = ("expect", subject)
-        name = _subject(subject, estimators, loc, review)
+        name = subject_of(subject, estimators, loc, review)
         if not isinstance(metrics, dict) or not metrics:
             review.note(loc, "a mapping of metrics is wanted, as in {position_error_m: {mean: {max: 0.35}}}")
             continue
@@ -75,7 +81,7 @@ def claims(raw: Any, estimators: Sequence[str], columns: Sequence[str] | None, r
     return tuple(found)
 
 
-def _subject(subject: str, estimators: Sequence[str], loc: Loc, review: Review) -> str:
+def subject_of(subject: str, estimators: Sequence[str], loc: Loc, review: Review) -> str:
     """The subject, its spaces made plain; mistakes are put down."""
     if subject == WORLD:
         return subject
@@ -104,7 +110,7 @@ def _statistic(named: tuple[str, str, str], bounds: Any, loc: Loc, columns: Sequ
 def _bounds(named: tuple[str, str, str], bounds: Mapping[str, Any], loc: Loc, columns: Sequence[str] | None, review: Review) -> list[Claim]:
     subject, metric, statistic = named
     if subject != WORLD and columns is not None:
-        _known(metric, statistic, columns, loc, review)
+        known(metric, statistic, columns, loc, review)
     found: list[Claim] = []
     for bound, value in bounds.items():
         here = (*loc, bound)
@@ -120,7 +126,7 @@ def _bounds(named: tuple[str, str, str], bounds: Mapping[str, Any], loc: Loc, co
     return found
 
 
-def _known(metric: str, statistic: str, columns: Sequence[str], loc: Loc, review: Review) -> None:
+def known(metric: str, statistic: str, columns: Sequence[str], loc: Loc, review: Review) -> None:
     """Put down a figure that no metric of the scenario computes."""
     if (f"{metric}.{statistic}" if statistic else metric) in columns:
         return

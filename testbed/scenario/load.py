@@ -15,6 +15,7 @@ from testbed.scenario import overrides
 from testbed.scenario.build import build
 from testbed.scenario.nodes import MAX_BYTES, checked, read, read_on
 from testbed.scenario.problems import ScenarioError, refuse
+from testbed.scenario.published import publications_without, written_without
 from testbed.scenario.scenario import Scenario
 from testbed.scenario.source import Source
 
@@ -61,7 +62,9 @@ def only(scenario: Scenario, estimators: Iterable[str]) -> Scenario:
         if parts[0] == "estimators" and (len(parts) == 1 or parts[1] not in wanted):
             raise scenario.problem(("sweep", path), "the sweep varies an estimator that is left out")
     kept = {claim.subject for claim in scenario.expect if set(claim.estimators) <= set(wanted)}
-    document = {**scenario.document}
+    published = written_without(scenario.document.get("published"), wanted)
+    document = {name: value for name, value in scenario.document.items() if name != "published"}
+    document |= {"published": published} if published else {}
     sections = zip(document.get("estimators", []), known, strict=True)
     document["estimators"] = [section for section, id in sections if id in wanted]
     if "expect" in document:
@@ -70,6 +73,7 @@ def only(scenario: Scenario, estimators: Iterable[str]) -> Scenario:
         scenario,
         estimators=tuple(section for section in scenario.estimators if section.id in wanted),
         expect=tuple(claim for claim in scenario.expect if claim.subject in kept),
+        published=publications_without(scenario.published, wanted),
         document=document,
         swept=tuple(replace(point, scenario=only(point.scenario, wanted)) for point in scenario.swept),
     )

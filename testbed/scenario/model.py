@@ -14,6 +14,7 @@ from pydantic import BaseModel, BeforeValidator, Field, PrivateAttr, model_valid
 from testbed.quantity import Config, Degrees, Hertz, Metres, MetresPerSecond, Point2, Point3, Seconds
 from testbed.route import Route
 from testbed.scenario.problems import Loc
+from testbed.scenario.published import PublishedModel, one_is_a_list
 
 MAX_POINTS = 10_000  # of a sweep
 MAX_TAGS = 100_000
@@ -37,6 +38,13 @@ def _threefold(value: Any) -> Any:
 _three, _three_speeds = tuple[Spread, Spread, Spread], tuple[SpeedSpread, SpeedSpread, SpeedSpread]
 _Spreads = Annotated[_three, BeforeValidator(_threefold, json_schema_input_type=_three | Spread)]
 _SpeedSpreads = Annotated[_three_speeds, BeforeValidator(_threefold, json_schema_input_type=_three_speeds | SpeedSpread)]
+
+
+_Publications = Annotated[
+    list[PublishedModel],
+    Field(max_length=20),
+    BeforeValidator(one_is_a_list, json_schema_input_type=PublishedModel | list[PublishedModel]),
+]
 
 
 class PriorModel(Config):
@@ -160,6 +168,7 @@ class Document(Config):
     survey: SurveyModel = SurveyModel()
     expect: dict[str, Any] = Field(default_factory=dict)
     sweep: dict[str, Any] = Field(default_factory=dict)
+    published: _Publications = Field(default_factory=list)
     files: dict[str, str] = Field(default_factory=dict)
 
 

@@ -18,9 +18,10 @@ from testbed.report.cameras import CameraSpec
 from testbed.scenario.claims import Claim
 from testbed.scenario.model import ActorSection, PriorModel, Section, SurveyModel, TagRule
 from testbed.scenario.problems import Loc, ScenarioError
+from testbed.scenario.published import Publication
 from testbed.scenario.source import Source
 
-_OUTSIDE_HASH = ("trials", "seed", "expect", "files", "cameras")  # files are hashed as the tags they hold
+_OUTSIDE_HASH = ("trials", "seed", "expect", "published", "files", "cameras")  # files are hashed as the tags they hold
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,7 @@ class Scenario:
     """A scenario file, checked as a whole; units as in the fields' names.
 
     document : the plain mapping behind it, after --set and with its tables under `files`: `from_dict(document)` is this scenario again
+    expect   : the bounds under `expect`, then those that cells of `published` want kept; published belongs to the whole, not to a point
     text     : the source as it was read; path : its file, None where there is none
     """
 
@@ -58,6 +60,7 @@ class Scenario:
     path: Path | None = field(repr=False, compare=False)
     source: Source = field(repr=False, compare=False)
     swept: tuple[Point, ...] = field(default=(), repr=False, compare=False)
+    published: tuple[Publication, ...] = ()
 
     def points(self) -> list[Point]:
         """The points of the sweep in the order of the file, the last path fastest; one point, as it is, without a sweep."""

@@ -26,6 +26,11 @@ class Claim:
     value: float
     line: int = 7
 
+    point: int | None = None
+
+    def concerns(self, point):
+        return self.point in (None, point)
+
     @property
     def text(self):
         return f"{self.subject}.{self.metric}.{self.statistic} {self.bound} {self.value}"
@@ -284,3 +289,9 @@ def test_every_point_of_a_sweep_is_judged_by_itself():
     table["point"] = np.array([0, 1])
     found = check_claims([Claim("ekf", "error", "mean", "max", 2.0)], table, NO_WORLD, points=[0, 1])
     assert [(c.point, c.ok) for c in found] == [(0, True), (1, False)]
+
+
+def test_a_claim_about_one_point_is_judged_there_alone():
+    table = rows(ekf=[[1.0], [3.0]])
+    found = check_claims([Claim("ekf", "error.mean", "", "min", 0.0, point=0)], table, table, [0, 1])
+    assert [c.point for c in found] == [0]
