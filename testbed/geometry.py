@@ -44,7 +44,10 @@ class Mounts(Table):
 
 @dataclass(frozen=True, eq=False)
 class Roads(Columns):
-    """A road network: straight segments between nodes. `one_way` ones run from their first node to their second."""
+    """A road network: straight segments between nodes. `one_way` ones run from their first node to their second.
+
+    Data as they come: what is no network is refused by `testbed.roads.check_roads`, before anyone drives on it.
+    """
 
     nodes: Array = column("float64", ("V", 2), "m")
     segments: Array = column("int32", ("S", 2))

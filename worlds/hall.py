@@ -16,6 +16,7 @@ from testbed.protocols import ActorPlan, Caster, Renderer
 from testbed.scene import Body, Scene, Truth
 from worlds.motion import Mover
 from worlds.parts import MATERIALS, Part
+from worlds.roads import check_walk
 
 
 class BaseHall(ABC):
@@ -47,7 +48,9 @@ class BaseHall(ABC):
         return None
 
     def scene(self, actors: Sequence[ActorPlan]) -> Scene:
-        """The hall with its actors at rest. ValueError where two things share a name."""
+        """The hall with its actors at rest. ValueError where two things share a name, or an actor can't walk here as it should."""
+        for plan in actors:
+            check_walk(plan.id, plan.route, plan.motion, self.roads())
         return assemble([*self.parts(), *map(_actor_part, actors)], actors, self.bounds(), self.zones(), self.roads())
 
     def move(

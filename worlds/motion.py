@@ -7,7 +7,7 @@ built in the physics engine, where kinematic actors are moved along as obstacles
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,8 +15,11 @@ from testbed import rng
 from testbed.columns import Array
 from testbed.geometry import Roads
 from testbed.protocols import ActorPlan
+from testbed.roads import nearest_segment
 from testbed.scene import Scene, Truth
+from testbed.walk import RoadWalk
 from worlds.paths import Trip, plan
+from worlds.roads import PointTrip, walk
 
 if TYPE_CHECKING:
     from worlds.bullet import Client
@@ -38,7 +41,11 @@ class Mover:
         """
         if step_hz % truth_hz:
             raise ValueError(f"truth_hz {truth_hz} does not divide step_hz {step_hz}: every truth has to fall on a step")
-        trips = {a.id: plan(a.route, rng.stream(root, trial, f"actors.{a.id}.route")) for a in actors if a.motion != "parked"}
+        trips: dict[str, Any] = {
+            a.id: _trip(a.route, scene.roads, duration, rng.stream(root, trial, f"actors.{a.id}.route"))
+            for a in actors
+            if a.motion != "parked"
+        }
         t = np.arange(int(np.ceil(duration * truth_hz - 1e-9)) + 1) / truth_hz
         poses = {a.id: trips[a.id].pose(t) for a in actors if a.motion == "kinematic"}
         if any(a.motion == "dynamic" for a in actors):
@@ -66,15 +73,10 @@ class Mover:
             self._client = None
 
 
-def nearest_segment(roads: Roads | None, position: Array) -> Array:
-    """(...,) int32: the road segment nearest to each position (..., 2) m, -1 without roads. The lower index on a tie."""
-    if roads is None or not len(roads.segments):
-        return np.full(position.shape[:-1], -1, dtype=np.int32)
-    best, nearest = np.full(position.shape[:-1], np.inf), np.zeros(position.shape[:-1], dtype=np.int32)
-    for i, (a, b) in enumerate(roads.nodes[roads.segments]):
-        along = b - a
-        share = np.clip((position - a) @ along / max(along @ along, 1e-300), 0.0, 1.0)
-        distance = np.hypot(*np.moveaxis(position - a - share[..., None] * along, -1, 0))
-        closer = distance < best
-        best, nearest = np.where(closer, distance, best), np.where(closer, i, nearest).astype(np.int32)
-    return nearest
+def _trip(route: Any, roads: Roads | None, duration: float, random: np.random.Generator) -> Trip | PointTrip:
+    """A trial's trip along a route, or along the roads for an actor that wanders."""
+    if not isinstance(route, RoadWalk):
+        return plan(route, random)
+    if roads is None:
+        raise ValueError("a walk wants roads, and this scene has none")
+    return walk(route, roads, duration, random)
