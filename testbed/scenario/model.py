@@ -15,6 +15,7 @@ from testbed.quantity import Config, Degrees, Hertz, Metres, MetresPerSecond, Po
 from testbed.route import Route
 from testbed.scenario.problems import Loc
 from testbed.scenario.published import PublishedModel, one_is_a_list
+from testbed.walk import RoadWalk
 
 MAX_POINTS = 10_000  # of a sweep
 MAX_TAGS = 100_000
@@ -123,6 +124,7 @@ class ActorModel(Config):
     id: Annotated[str, Field(pattern=ID_PATTERN, max_length=60)]
     motion: Literal["dynamic", "kinematic", "parked"]
     route: Route | None = None
+    walk: RoadWalk | None = None
     position_m: Point2 | None = None
     yaw_deg: Degrees = 0.0
     tags: list[Any] = Field(default_factory=list)
@@ -132,11 +134,14 @@ class ActorModel(Config):
         if self.motion == "parked":
             if self.position_m is None:
                 raise ValueError("a parked actor needs position_m, [x, y] in metres")
-            if self.route is not None:
-                raise ValueError("a parked actor has no route: remove it, or set motion to kinematic or dynamic")
+            for name in ("route", "walk"):
+                if getattr(self, name) is not None:
+                    raise ValueError(f"a parked actor has no {name}: remove it, or set motion to kinematic or dynamic")
         else:
-            if self.route is None:
-                raise ValueError(f"motion {self.motion} needs a route, with its waypoints_m")
+            if self.route is None and self.walk is None:
+                raise ValueError(f"motion {self.motion} needs a route, with its waypoints_m (or a walk, where the world has roads)")
+            if self.route is not None and self.walk is not None:
+                raise ValueError("a route and a walk are two ways to go: remove one of them")
             extra = {"position_m", "yaw_deg"} & self.model_fields_set
             if extra:
                 raise ValueError(f"{min(extra)} is for parked actors: this one starts at its first way point")
@@ -184,12 +189,15 @@ class Section:
 
 @dataclass(frozen=True)
 class ActorSection:
-    """An actor of a scenario. `tags` are in its own frame and have `on` set to its id; position and yaw are those of a parked one."""
+    """An actor of a scenario. `tags` are in its own frame and have `on` set to its id; position and yaw are those of a parked one.
+
+    `route` is a walk for one that wanders.
+    """
 
     id: str
     kind: str
     motion: str
-    route: Route | None
+    route: Route | RoadWalk | None
     position_m: tuple[float, float] | None
     yaw_deg: float
     config: BaseModel

@@ -46,7 +46,9 @@ def actor(raw: Any, loc: Loc, review: Review) -> ActorSection | None:
     own_tags = tags.rules(raw.get("tags"), (*loc, "tags"), str(raw.get("id", raw.get("kind"))), review)
     if model is None or config is None:
         return None
-    return ActorSection(model.id, model.kind, model.motion, model.route, model.position_m, model.yaw_deg, config, own_tags, loc)
+    return ActorSection(
+        model.id, model.kind, model.motion, model.route or model.walk, model.position_m, model.yaw_deg, config, own_tags, loc
+    )
 
 
 def every(raw: Any, loc: Loc, review: Review, make: Callable[[Any, Loc], Any]) -> list[Any]:
