@@ -156,8 +156,9 @@ class Event:
 class Antennas(Table):
     """Antennas of all readers of a site. Pose in the frame of `carrier` (a body's name), or of the world where that is "".
 
-    An antenna looks along its own +x. The pattern is cos^n of the angle off boresight, with n from the half-power
-    `beamwidth` (full angle) and a floor `front_to_back` below the maximum.
+    An antenna looks along its own +x. Its pattern is `pattern`, where it has one; else cos^n of the angle off boresight, with n from the
+    half-power `beamwidth` (full angle) and a floor `front_to_back` below the maximum. Both are also given, nearly, where there is a
+    table. A linear antenna has its field along its own +z.
     """
 
     id: Array = column("str")
@@ -169,6 +170,10 @@ class Antennas(Table):
     power: Array = column("float64", unit="dBm conducted")
     carrier: Array = column("str", default="")
     reader: Array = column("str", default="")
+    polarisation: Array = column("str", unit="circular or linear", default="circular")
+    pattern: Array = column(
+        "float64", ("N", 181), "dB relative to boresight, at 0, 1, ..., 180° off it; NaN without a table", default=np.nan
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,11 +186,15 @@ class References(Table):
 
 @dataclass(frozen=True, eq=False)
 class Tags(Table):
-    """The tags that a recording speaks of: what a data sheet and the EPC say, not where they are."""
+    """The tags that a recording speaks of: what a data sheet and the EPC say, not where they are.
+
+    `gain` is that of the best direction; a "dipole" has less elsewhere, an "isotropic" tag the same all round.
+    """
 
     id: Array = column("str")
     gain: Array = column("float64", unit="dBi", default=2.0)
     sensitivity: Array = column("float64", unit="dBm", default=-19.5)
+    pattern: Array = column("str", unit="dipole or isotropic", default="isotropic")
 
 
 @dataclass(frozen=True, eq=False)

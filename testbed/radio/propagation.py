@@ -18,7 +18,7 @@ from testbed.columns import Array
 from testbed.units import SPEED_OF_LIGHT, wrap_positive
 
 NEAREST = 0.05  # m: nearer than λ/2π the far field does not exist and Friis would give gain for nothing
-POLARISATION_DB = 3.0103  # a circular wave on a linear tag: one half
+POLARISATION_DB = float(-10 * np.log10(0.5))  # a circular wave on a linear tag: one half
 
 
 def direct_path(distance: ArrayLike, frequency: ArrayLike, gain_db: ArrayLike, loss_db: ArrayLike) -> Array:

@@ -10,8 +10,9 @@ where θ is the angle at which it leaves the antenna and A what stands on its tw
 
     Γ_TE = (cos i - √(η - sin² i)) / (cos i + √(η - sin² i))      Γ_TM = (η cos i - √(η - sin² i)) / (η cos i + √(η - sin² i))
 
-and -1, +1 for a perfect conductor. Half of a circular wave's power lies in either. A linear tag takes a mixture that depends
-on how it hangs, which a tag "with the same gain all round" leaves open, so the mean power is taken, with the phase of the TE part:
+and -1, +1 for a perfect conductor. Half of a circular wave's power lies in either. A linear tag takes a mixture that depends on how
+it hangs; here the mean power is taken, with the phase of the TE part, and how the tag hangs counts by its own pattern alone
+(`testbed.radio.coupling`, with the tag's mirror image: on metal that is exact):
 
     Γ = √((|Γ_TE|² + |Γ_TM|²) / 2) · exp(j arg Γ_TE)
 
@@ -19,8 +20,8 @@ TE, because a field along the face turns over at every angle and on every materi
 tag sees it is a matter of the tag's own direction. At grazing incidence on a dielectric, and at a right angle on
 anything, this is what both parts have in common; on metal it is -1 at all angles.
 
-Left out: second and higher orders, the edges of a face (a path is there or not), roughness, waves that come back from inside
-or behind a thin wall, and moving faces.
+Left out: that a dielectric turns the polarisation, second and higher orders, the edges of a face (a path is there or not), roughness,
+waves that come back from inside or behind a thin wall, and moving faces.
 """
 
 from __future__ import annotations
@@ -276,6 +277,12 @@ def images(paths: Bounces, end: Array, faces: Reflectors) -> Array:
     """(M, 3) m: the tags' images behind the faces; `end` (L, 3) are the links' tags."""
     tag, normal = end[paths.link], faces.normal[paths.reflector]
     return tag - 2 * np.einsum("ij,ij->i", tag - faces.origin[paths.reflector], normal)[:, None] * normal
+
+
+def mirrored_axis(axis: Array, paths: Bounces, faces: Reflectors) -> Array:
+    """(M, 3): the dipoles `axis` (M, 3) of the paths' tags as the images have them; the sign, which no power knows, is left as it is."""
+    normal = faces.normal[paths.reflector]
+    return axis - 2 * np.einsum("ij,ij->i", axis, normal)[:, None] * normal
 
 
 @njit(cache=True)

@@ -11,12 +11,12 @@ from pydantic import Field as Constraint
 from testbed.columns import Array, Table, column
 from testbed.protocols import Caster
 from testbed.quantity import Config, Decibels
-from testbed.radio.antenna import exponent, off_boresight, pattern_db
+from testbed.radio.coupling import Coupling, dipole_axis, polarisation_loss
 from testbed.radio.diffuse import rice_factor
 from testbed.radio.links import Ends
 from testbed.radio.movers import ELSEWHERE, Movers, Posed
-from testbed.radio.propagation import NEAREST, POLARISATION_DB
-from testbed.radio.reflection import LARGE, Bounces, Mirrored, Reflectors, bounces, images, reflectors
+from testbed.radio.propagation import NEAREST
+from testbed.radio.reflection import LARGE, Bounces, Mirrored, Reflectors, bounces, images, mirrored_axis, reflectors
 from testbed.radio.sight import Obstacles, Sight, sight
 from testbed.scene import Scene
 from testbed.types import Antennas, Tags
@@ -40,11 +40,12 @@ class ChannelConfig(Config):
 
 @dataclass(frozen=True, eq=False)
 class Lines(Table):
-    """Straight lines of N links: ends, length, gain of antenna (towards the tag) and tag, polarisation taken off."""
+    """Straight lines of N links: ends, length, gain of antenna and tag towards each other, polarisation taken off."""
 
     start: Array = column("float64", ("N", 3), "m")
     looking: Array = column("float64", ("N", 4), "(w, x, y, z) of the antenna")
     end: Array = column("float64", ("N", 3), "m")
+    axis: Array = column("float64", ("N", 3), "direction of the tag's dipole")
     distance: Array = column("float64", unit="m")
     gain: Array = column("float64", unit="dBi")
     margin: Array = column("float64", unit="dB above what wakes the tag, if nothing stood in the way")
@@ -82,8 +83,8 @@ class Radio:
         self.wavelength = SPEED_OF_LIGHT / float(self.frequencies.mean())  # of obstacles: they don't change over a band
         self.movers = Movers(scene)
         self.faces = reflectors(scene, config.min_face_m2, config.floor) if config.orders else Reflectors.empty()
-        self._exponent = exponent(antennas.beamwidth)
-        gain = (tags.gain - tags.sensitivity).max(initial=-np.inf) - POLARISATION_DB + (IN_STEP if config.orders else 0.0)
+        self.coupling = Coupling(antennas, tags)
+        gain = (tags.gain - tags.sensitivity).max(initial=-np.inf) - polarisation_loss(antennas) + (IN_STEP if config.orders else 0.0)
         gain += float(self.lift(np.ones(1))[0])
         self.reach = self._heard_at(antennas.power + antennas.gain + gain) if limit else np.full(len(antennas), np.inf)
 
@@ -97,16 +98,10 @@ class Radio:
         if posed is not None and links is not None:
             looking = posed.carried(self.near.body[antenna], looking, links)
             hanging = posed.carried(self.far.body[tag], hanging, links)
-        start, quaternion, end = looking[:, :3], looking[:, 3:], hanging[:, :3]
-        gain, distance = self.gain(antenna, tag, quaternion, end - start)
+        start, quaternion, end, axis = looking[:, :3], looking[:, 3:], hanging[:, :3], dipole_axis(hanging[:, 3:])
+        gain, distance = self.coupling.at(antenna, tag, quaternion, axis, end - start)
         margin = self.budget(antenna, tag) + gain - self.spread(distance)
-        return Lines(start=start, looking=quaternion, end=end, distance=distance, gain=gain, margin=margin)
-
-    def gain(self, antenna: Array, tag: Array, looking: Array, towards: Array) -> tuple[Array, Array]:
-        """Gain, dBi, of antennas turned to `looking` (N, 4) for what leaves `towards` (N, 3), the tag's and χ included; distance, m."""
-        cosine, distance = off_boresight(looking, towards)
-        shape = pattern_db(cosine, self._exponent[antenna], self.antennas.front_to_back[antenna])
-        return self.antennas.gain[antenna] + shape + self.tags.gain[tag] - POLARISATION_DB, distance
+        return Lines(start=start, looking=quaternion, end=end, axis=axis, distance=distance, gain=gain, margin=margin)
 
     def budget(self, antenna: Array, tag: Array) -> Array:
         """dB between what is sent and what wakes the tag, antennas aside."""
@@ -152,8 +147,8 @@ class Radio:
     def reflections(self, lines: Lines, antenna: Array, tag: Array) -> Paths:
         """First-order reflections of lines that would be strong enough to matter with nothing in their way."""
         found = bounces(lines.start, lines.end, self.faces)
-        link = found.link
-        gain, _ = self.gain(antenna[link], tag[link], lines.looking[link], found.point - lines.start[link])
+        link, axis = found.link, mirrored_axis(lines.axis[found.link], found, self.faces)
+        gain, _ = self.coupling.at(antenna[link], tag[link], lines.looking[link], axis, found.point - lines.start[link])
         level = self.budget(antenna[link], tag[link]) + gain + db(np.abs(found.coefficient) ** 2) - self.spread(found.length)
         columns = {name: getattr(found, name) for name in found.column_names()}
         paths = Paths(**columns, gain=gain, image=images(found, lines.end, self.faces), level=level)

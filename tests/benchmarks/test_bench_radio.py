@@ -78,7 +78,9 @@ def setting(scene, orders):
         np.concatenate([np.searchsorted(scene.moving, mounts.body[moving]), np.full(len(still), -1)]),
         np.concatenate([pose[moving], frames.compose(scene.rest_poses()[mounts.body[still]], pose[still])]),
     )
-    tags = Tags(id=[f"t{i}" for i in range(TAGS)], gain=np.full(TAGS, 2.0), sensitivity=np.full(TAGS, SENSITIVITY))
+    tags = Tags(
+        id=[f"t{i}" for i in range(TAGS)], gain=np.full(TAGS, 2.0), sensitivity=np.full(TAGS, SENSITIVITY), pattern=["dipole"] * TAGS
+    )
     caster = BoxCaster(scene, *losses(scene.materials))
     near = Ends(np.full(ANTENNAS, -1), np.hstack([place, turn]))
     return Radio(ChannelConfig(orders=orders), scene, caster, antennas, near, tags, far, REGIONS["etsi"].carriers)

@@ -19,13 +19,15 @@ from worlds.raycast import BoxCaster
 FREQUENCIES = np.array([865.7e6, 867.5e6])
 MATERIALS = ("concrete", "steel", "wood")
 QUIET = {"diffuse": False, "orders": 0}
-ONE_WAY_DB = 6.0 + 2.0 - 3.0103  # antenna, tag, polarisation
+POLARISATION_DB = 10 * np.log10(2)  # a circular wave on a linear tag
+ONE_WAY_DB = 6.0 + 2.0 - POLARISATION_DB  # antenna, tag
 
 
-def answer(places, config=None, boxes=(), antenna=(0.0, 0.0, 1.5), still=True):
+def answer(places, config=None, boxes=(), antenna=(0.0, 0.0, 1.5), still=True, turned=None):
     """h and all that goes with it of one antenna and tags at `places` (N, 3), on the first carrier.
 
     boxes: (low, high, material) in a hall of 60 m to each side. Where not `still`, the tag moves along `places`, one a second.
+    Tags are the same all round; with `turned`, a quaternion, they are dipoles that hang like that.
     """
     places = np.atleast_2d(np.asarray(places, dtype=float))
     n = len(places) if still else 1
@@ -36,7 +38,8 @@ def answer(places, config=None, boxes=(), antenna=(0.0, 0.0, 1.5), still=True):
         id=["a"], position=[antenna], quaternion=[looks[3:]], gain=[6.0], beamwidth=[np.pi / 2], front_to_back=[18.0], power=[29.0]
     )
     tags = Tags(id=[f"tag{i}" for i in range(n)], gain=np.full(n, 2.0), sensitivity=np.full(n, -19.5))
-    upright = np.tile(frames.IDENTITY[3:], (n, 1))
+    tags = tags.with_(pattern=np.full(n, "isotropic" if turned is None else "dipole"))
+    upright = np.tile(frames.IDENTITY[3:] if turned is None else turned, (n, 1))
     far = Ends(np.full(n, -1), np.hstack([places, upright])) if still else Ends(np.array([0]), frames.IDENTITY[None])
     radio = Radio(
         ChannelConfig(**(QUIET if config is None else config)),
@@ -70,7 +73,7 @@ def gain_towards(antenna, point, axis=(1.0, 0.0, 0.0)):
     cosine = (way @ np.asarray(axis)) / np.linalg.norm(way, axis=-1)
     n = np.log(0.5) / np.log(np.cos(np.pi / 4))
     lobe = 10 * n * np.log10(np.maximum(cosine, 1e-9))
-    return 6.0 + np.maximum(lobe, -18.0) + 2.0 - 3.0103
+    return 6.0 + np.maximum(lobe, -18.0) + 2.0 - POLARISATION_DB
 
 
 def ray(length, gain_db, coefficient=1.0):
@@ -139,6 +142,30 @@ def test_three_walls_by_hand():
             coefficient = -1.0 if permittivity is None else gamma(permittivity, abs(way[across]) / length)
             expected += ray(length, gain_towards(antenna, image), coefficient)
         assert abs(got / expected - 1) < 1e-6
+
+
+def test_each_path_meets_a_dipole_from_its_own_direction():
+    # the last leg of each path, walked by hand from the wall to the tag, against the dipole's own axis
+    walls = [((-5, 3, -3), (8, 3.2, 7), 1), ((8, -4, -3), (8.2, 3, 7), 1)]
+    antenna, place, turned = np.array([0.0, 0.0, 1.5]), np.array([4.0, 1.0, 1.2]), frames.from_euler(0.5, 0.3, 0.9)
+    h = answer(place, {"diffuse": False, "orders": 1, "floor": None, "edges": False}, walls, turned=turned).h[0]
+    x, y, z = place
+    expected, across, dipole = 0j, [], frames.rotate(turned, [0.0, 1.0, 0.0])
+    for image, plane, coefficient in ((place, None, 1.0), ((x, 6 - y, z), (1, 3.0), -1.0), ((16 - x, y, z), (0, 8.0), -1.0)):
+        way = np.array(image) - antenna
+        turn = antenna if plane is None else antenna + way * (plane[1] - antenna[plane[0]]) / way[plane[0]]
+        leg = (place - turn) / np.linalg.norm(place - turn)
+        across.append(np.sqrt(1 - (leg @ dipole) ** 2))
+        pattern = np.cos(np.pi / 2 * (leg @ dipole)) / across[-1]
+        expected += ray(np.linalg.norm(way), gain_towards(antenna, image) + 20 * np.log10(pattern), coefficient)
+    assert abs(h / expected - 1) < 1e-6
+    assert np.ptp(across) > 0.1
+
+
+def test_a_tag_that_points_at_the_antenna_is_fifteen_decibels_down():
+    ahead, away = (answer([[5.0, 0, 1.5]], turned=frames.from_euler(yaw)).h[0] for yaw in (0.0, np.pi / 2))
+    assert 20 * np.log10(abs(away / ahead)) == pytest.approx(-15.0)
+    assert np.angle(away) == pytest.approx(np.angle(ahead))
 
 
 def test_a_thing_on_a_leg_takes_from_that_reflection_alone():
