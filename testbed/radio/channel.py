@@ -41,6 +41,17 @@ class Response(Table):
     count: Array = column("int32", unit="obstacles on the straight line")
 
 
+@dataclass(frozen=True)
+class Parts:
+    """What the h of N links is put together from: straight lines, M reflected paths, what each loses, and which moving bodies stir."""
+
+    lines: Lines
+    sight: Sight
+    paths: Paths
+    mirrored: Sight
+    stir: Stir
+
+
 class Fixed:
     """Pairs of an antenna and a tag that both stand still and may be heard, and what stands between them that never moves."""
 
@@ -89,6 +100,11 @@ class Channel:
         self._field = Field(root, trial, float(radio.frequencies.mean())) if radio.config.diffuse else None
         self._h = np.zeros((len(fixed.tag), len(radio.frequencies)), dtype=np.complex128)
         self._known = np.zeros(self._h.shape, dtype=bool)
+
+    @property
+    def radio(self) -> Radio:
+        """What no trial changes."""
+        return self._radio
 
     # ------------------------------------------------------------ who is in reach
 
@@ -144,6 +160,15 @@ class Channel:
 
     def _moving(self, links: Array, antenna: Array, tag: Array, pair: Array, carrier: Array, posed: Posed) -> Response:
         """Links with an end that moves, `links` (N,) of `posed`."""
+        p = self._parts(links, antenna, tag, posed)
+        h = self._sum(p.lines, p.sight, p.paths, p.mirrored, self._radio.frequencies[carrier], p.stir)
+        return self._response(h, p.lines, p.sight)
+
+    def parts(self, antenna: Array, tag: Array, t: Array) -> Parts:
+        """What `respond` puts together for antennas (N,) and tags (N,) at times t (N,), each link looked at from scratch."""
+        return self._parts(np.arange(len(tag)), antenna, tag, self._radio.movers.at(self._truth, t))
+
+    def _parts(self, links: Array, antenna: Array, tag: Array, posed: Posed) -> Parts:
         radio = self._radio
         lines = radio.lines(antenna, tag, posed, links)
         near = posed.near(links, lines.start, lines.end, self._widest(lines.distance))
@@ -151,8 +176,7 @@ class Channel:
         paths = radio.reflections(lines, antenna, tag)
         near = self._near_paths(paths, lines, links, posed, self._widest(paths.length))
         mirrored = radio.sight_mirrored(paths, lines, self._obstacles(posed, links[paths.link], near))
-        stir = self._stir(links, antenna, tag, lines, posed)
-        return self._response(self._sum(lines, seen, paths, mirrored, radio.frequencies[carrier], stir), lines, seen)
+        return Parts(lines, seen, paths, mirrored, self._stir(links, antenna, tag, lines, posed))
 
     def _standing(self, links: Array, antenna: Array, tag: Array, pair: Array, carrier: Array, posed: Posed) -> Response:
         """Links whose ends stand still, `links` (N,) of `posed`: as they were found once, unless something moves near them."""
@@ -224,15 +248,22 @@ class Channel:
 
     def _sum(self, lines: Lines, seen: Sight, paths: Paths, mirrored: Sight, frequency: Array, stir: Stir | None) -> Array:
         """(N,) h: all parts together."""
-        h = _along(lines.distance, frequency, lines.gain, seen)
-        if self._field is not None:
-            k = self._radio.rice_factor(seen.clear)
-            diffuse = self._field.at(lines.start, lines.end, frequency, stir)
-            h = np.sqrt(k / (k + 1)) * h + np.sqrt(1 / (k + 1)) * np.abs(h) * diffuse
+        h, diffuse, over = self.terms(lines, seen, paths, mirrored, frequency, stir)
+        h = h + diffuse
         if len(paths):
-            over = paths.coefficient * _along(paths.length, frequency[paths.link], paths.gain, mirrored)
             h += np.bincount(paths.link, np.real(over), len(h)) + 1j * np.bincount(paths.link, np.imag(over), len(h))
         return h
+
+    def terms(
+        self, lines: Lines, seen: Sight, paths: Paths, mirrored: Sight, frequency: Array, stir: Stir | None
+    ) -> tuple[Array, Array, Array]:
+        """The parts of h, complex, at carriers (N,) Hz: direct (N,), diffuse (N,), and of each reflection (M,)."""
+        h, diffuse = _along(lines.distance, frequency, lines.gain, seen), np.zeros(len(lines))
+        if self._field is not None:
+            k = self._radio.rice_factor(seen.clear)
+            diffuse = np.sqrt(1 / (k + 1)) * np.abs(h) * self._field.at(lines.start, lines.end, frequency, stir)
+            h = np.sqrt(k / (k + 1)) * h
+        return h, diffuse, paths.coefficient * _along(paths.length, frequency[paths.link], paths.gain, mirrored)
 
     @staticmethod
     def _response(h: Array, lines: Lines, seen: Sight) -> Response:

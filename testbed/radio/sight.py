@@ -52,6 +52,18 @@ class Sight(Table):
     through: Array = column("float64", unit="dB lost in them")
 
 
+@dataclass(frozen=True, eq=False)
+class Ways(Table):
+    """Both ways of N paths, of which `Sight` takes the one that costs less: through what stands there, and round it."""
+
+    count: Array = column("int32", unit="obstacles on the straight line")
+    through: Array = column("float64", unit="dB lost in them")
+    shade: Array = column("float64", unit="dB that things beside the line take besides")
+    round: Array = column("float64", unit="dB on the best way round, infinite where there is none out to ν = 3")
+    detour: Array = column("float64", unit="m by which that is longer")
+    clear: Array = column("float64", unit="share of the Fresnel zone, 0 to 1")
+
+
 class Obstacles:
     """All that may stand on rays of N links: what never moves, and the moving bodies for those links that they come `near`.
 
@@ -113,22 +125,32 @@ def sight(start: Array, end: Array, wavelength: float, obstacles: Obstacles, wor
     return Sight.concatenate(parts)
 
 
+def ways(start: Array, end: Array, wavelength: float, obstacles: Obstacles) -> Ways:
+    """Both ways of N paths, searched for in full, for whoever wants to know what `sight` chose from; CHUNK paths at the most."""
+    return _ways(np.arange(len(start)), start, end, wavelength, obstacles, np.full(len(start), np.inf))
+
+
 def _sight(link: Array, start: Array, end: Array, wavelength: float, obstacles: Obstacles, worth: Array) -> Sight:
+    both = _ways(link, start, end, wavelength, obstacles, worth)
+    through = both.through + both.shade
+    return Sight(
+        clear=both.clear,
+        loss=np.minimum(through, both.round),
+        detour=np.where(both.round < through, both.detour, 0.0),
+        count=both.count,
+        through=both.through,
+    )
+
+
+def _ways(link: Array, start: Array, end: Array, wavelength: float, obstacles: Obstacles, worth: Array) -> Ways:
     direct = obstacles.on(link, start[link], end[link])
     clear, worth = 10 ** (-direct.loss / 10), worth[link]
     bundle = Bundle(link, start[link], end[link], wavelength, obstacles, direct.loss)
     round_, longer = bundle.round(worth)
     useful = np.flatnonzero(np.minimum(direct.loss, round_) <= worth)
-    clear[useful], shade = bundle.zone(useful)
-    through = np.array(direct.loss)
-    through[useful] += shade
-    return Sight(
-        clear=clear,
-        loss=np.minimum(through, round_),
-        detour=np.where(round_ < through, longer, 0.0),
-        count=direct.count,
-        through=direct.loss,
-    )
+    shade = np.zeros(len(link))
+    clear[useful], shade[useful] = bundle.zone(useful)
+    return Ways(count=direct.count, through=direct.loss, shade=shade, round=round_, detour=longer, clear=clear)
 
 
 class Bundle:
