@@ -190,11 +190,13 @@ class Sensed:
     """What a sensor made of a trial: streams by kind, and what the world offered it, by name.
 
     shares : (value, weight) of things that are averaged over sensors ("line_of_sight"); rates : of things that add up
+    asked_sets : (sets, tags) bool, the populations that its rounds name by `asked`; None where all tags are asked always
     """
 
     streams: Mapping[str, Table]
     shares: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     rates: Mapping[str, float] = field(default_factory=dict)
+    asked_sets: Array | None = None
 
 
 class Sensor(Protocol):

@@ -15,6 +15,7 @@ from testbed.radio.materials import losses
 from testbed.recording import Recording, Trial
 from testbed.report.cameras import mistakes
 from testbed.rng import Counter, keys_of
+from testbed.route import Route
 from testbed.scene import Scene, Truth
 from testbed.tagging import choose_targets, place_tags
 from testbed.types import Antennas, References, Site
@@ -38,7 +39,7 @@ class Simulator:
             self.scene: Scene = self._world.scene(self._actors)
             self.tagged, on = place_tags(scenario, self.scene)
             self.aims = choose_targets(scenario, self.scene, self.tagged, on)
-            self._sensors = [self._sensor(section) for section in scenario.sensors]
+            self.sensors = [self._sensor(section) for section in scenario.sensors]
             self._check_radios()
             self._check_cameras()
             materials = losses(self.scene.materials)
@@ -57,7 +58,7 @@ class Simulator:
         """One hop table for the site, and every antenna under a name of its own."""
         taken: dict[str, str] = {}
         table: Array | None = None
-        for section, sensor in zip(self.scenario.sensors, self._sensors, strict=True):
+        for section, sensor in zip(self.scenario.sensors, self.sensors, strict=True):
             for id in sensor.antennas().id:
                 if id in taken:
                     raise self.scenario.problem(section.loc, f"antenna {str(id)!r} belongs to {taken[id]!r} already")
@@ -85,26 +86,32 @@ class Simulator:
 
     def trial(self, index: int, seed: int | None = None) -> Trial:
         """One trial, a function of (scenario, seed, index) alone. `seed` is the scenario's where left out."""
+        return self._sensed(self.moved(index, seed))
+
+    def moved(self, index: int, seed: int | None = None) -> Surroundings:
+        """A trial before anything senses it: what its sensors are given."""
         scenario, root = self.scenario, self.scenario.seed if seed is None else seed
         truth = self._world.move(
             self.scene, self._actors, scenario.duration_s, root, index, step_hz=scenario.step_hz, truth_hz=scenario.truth_hz
         )
-        around = self._surroundings(truth, root, index)
-        sensed, first = [], 0
-        for sensor in self._sensors:
+        return self._surroundings(truth, root, index)
+
+    def _sensed(self, around: Surroundings) -> Trial:
+        scenario, sensed, first = self.scenario, [], 0
+        for sensor in self.sensors:
             sensed.append(sensor.sense(around, first))
             first += len(sensor.antennas())
         recording = Recording(
-            trial=index,
+            trial=around.trial,
             duration=scenario.duration_s,
-            site=self._site(root, index),
+            site=self._site(around.root, around.trial),
             streams=_merged(sensed),
             targets=self.aims.targets,
             target_tags=self.aims.tags,
-            asked_sets=np.ones((1, len(self.tagged.tags)), dtype=bool),
+            asked_sets=_asked_sets(sensed, len(self.tagged.tags)),
         )
         stimulus = _stimulus([s.id for s in scenario.sensors], sensed)
-        return Trial(recording, truth, self.aims.body, self.aims.pose, stimulus)
+        return Trial(recording, around.truth, self.aims.body, self.aims.pose, stimulus)
 
     def _surroundings(self, truth: Truth, root: int, index: int) -> Surroundings:
         if self._caster is None:
@@ -124,8 +131,8 @@ class Simulator:
 
     def _site(self, root: int, index: int) -> Site:
         """What an installer would know, with this trial's survey error."""
-        antennas = Antennas.concatenate([sensor.antennas() for sensor in self._sensors])
-        radios = [f for f in (sensor.frequencies() for sensor in self._sensors) if len(f)]
+        antennas = Antennas.concatenate([sensor.antennas() for sensor in self.sensors])
+        radios = [f for f in (sensor.frequencies() for sensor in self.sensors) if len(f)]
         return Site(
             antennas=_surveyed(antennas, self.scenario.survey, root, index),
             tags=self.tagged.tags,
@@ -137,7 +144,7 @@ class Simulator:
 
 
 def _plan(section: Any) -> ActorPlan:
-    x, y = section.position_m or (section.route.waypoints_m[0] if section.route else (0.0, 0.0))
+    x, y = section.position_m or (section.route.waypoints_m[0] if isinstance(section.route, Route) else (0.0, 0.0))
     pose = np.concatenate([[x, y, 0.0], frames.from_euler(np.deg2rad(section.yaw_deg))])
     actor = load("actors", section.kind)(section.config)
     return ActorPlan(section.id, section.kind, section.motion, actor, section.route, pose)
@@ -157,20 +164,43 @@ def _merged(sensed: list[Sensed]) -> dict[str, Table]:
     """Streams of all sensors by kind, in order of arrival. Rounds keep their numbers apart from one sensor to the next."""
     kinds = list(dict.fromkeys(kind for s in sensed for kind in s.streams))
     merged: dict[str, Table] = {}
+    apart = _apart(sensed)
     for kind in kinds:
-        parts = _numbered([s.streams[kind] for s in sensed if kind in s.streams])
+        parts: list[Any] = [streams[kind] for streams in apart if kind in streams]
         table = type(parts[0]).concatenate(parts)
         arrival: Array | None = getattr(table, "t_arrival", None)
         merged[kind] = table if arrival is None else table.take(np.argsort(arrival, kind="stable"))
     return merged
 
 
-def _numbered(parts: list[Any]) -> list[Any]:
-    """Rounds (and their counts) of several readers, renumbered so that a number means one round: reader r, round k -> k·R + r."""
-    if len(parts) < 2 or not hasattr(parts[0], "round"):
-        return parts
-    changed = [p.with_(round=p.round * len(parts) + r) for r, p in enumerate(parts)]
-    return [p.with_(reader=np.full(len(p), r)) if hasattr(p, "reader") else p for r, p in enumerate(changed)]
+def _apart(sensed: list[Sensed]) -> list[dict[str, Any]]:
+    """Streams of each sensor, with numbers of rounds, readers and asked sets that mean one thing over all sensors.
+
+    Round k of the r-th of R sensors that have rounds becomes k·R + r.
+    """
+    found, sets, readers, place = [], 0, 0, 0
+    with_rounds = sum("rounds" in s.streams for s in sensed)
+    for s in sensed:
+        streams: dict[str, Any] = dict(s.streams)
+        if "rounds" in streams:
+            rounds: Any = streams["rounds"]
+            for kind in ("rounds", "counts"):
+                if kind in streams:
+                    streams[kind] = streams[kind].with_(round=streams[kind].round * with_rounds + place)
+            streams["rounds"] = streams["rounds"].with_(asked=rounds.asked + sets, reader=rounds.reader + readers)
+            readers, place = readers + int(rounds.reader.max(initial=-1)) + 1, place + 1
+            sets += len(_sets_of(s, 1))
+        found.append(streams)
+    return found
+
+
+def _asked_sets(sensed: list[Sensed], tags: int) -> Array:
+    """(sets, tags) bool: the populations of all sensors that have rounds, one after another."""
+    return np.concatenate([np.ones((0, tags), dtype=bool), *(_sets_of(s, tags) for s in sensed if "rounds" in s.streams)])
+
+
+def _sets_of(sensed: Sensed, tags: int) -> Array:
+    return np.ones((1, tags), dtype=bool) if sensed.asked_sets is None else sensed.asked_sets
 
 
 def _stimulus(ids: list[str], sensed: list[Sensed]) -> dict[str, float]:

@@ -29,7 +29,7 @@ from numba import njit
 from testbed.columns import Array
 from testbed.radio.profiles import Profile, slots
 
-ALONE = 0.05  # s: what a reader with one port does in so long, some rounds, is reported as one visit
+ALONE = 0.05  # s: what a reader with one port does in so long, some rounds of all tags, is reported as one visit
 STEP = 0.35  # by which Q moves: the standard says 0.1 to 0.5
 LARGEST_Q = 12
 PERSISTENCE = {1: (0.5, 5.0), 2: (2.0, 10.0), 3: (2.0, 10.0)}  # s: Gen2 Table 6-20; it only says "more than 2 s" for sessions 2 and 3
@@ -39,12 +39,19 @@ PERSISTENCE = {1: (0.5, 5.0), 2: (2.0, 10.0), 3: (2.0, 10.0)}  # s: Gen2 Table 6
 class Hearing:
     """Which tags can answer which antenna when: time in cells of `step` s, and for antenna a in cell c tags[first[a, c] : first[a, c + 1]].
 
+    begin : number of the first cell, which lasts from begin · step
     first : (antennas, cells + 1) int64; tags : (M,) int64, ascending in each cell
     """
 
     step: float
+    begin: int
     first: Array
     tags: Array
+
+    @property
+    def end(self) -> float:
+        """s: when the last cell is over."""
+        return (self.begin + self.first.shape[1] - 1) * self.step
 
 
 @dataclass(frozen=True)
@@ -82,43 +89,82 @@ class _Reader(NamedTuple):
     single: bool
 
 
-def hearing(antennas: int, cells: int, step: float, antenna: Array, cell: Array, tag: Array) -> Hearing:
-    """From (antenna, cell, tag) triples, in any order."""
+def hearing(antennas: int, cells: int, step: float, antenna: Array, cell: Array, tag: Array, begin: int = 0) -> Hearing:
+    """From (antenna, cell, tag) triples, in any order; cells are counted from `begin`."""
     place = antenna * cells + cell
     order = np.lexsort((tag, place))
     bounds = np.searchsorted(place[order], np.arange(antennas * cells + 1))
     first = np.stack([bounds[a * cells : (a + 1) * cells + 1] for a in range(antennas)]) if antennas else np.zeros((0, cells + 1), np.int64)
-    return Hearing(float(step), first.astype(np.int64), tag[order].astype(np.int64))
+    return Hearing(float(step), begin, first.astype(np.int64), tag[order].astype(np.int64))
+
+
+class Interrogator:
+    """One reader at work on its ports from 0 to `duration` s. It goes on where it stopped, whatever the pieces of time it is given.
+
+    seed : () uint64, the reader's in this trial; antenna_key (A,) and tag_key (T,) uint64
+    asked : (T,) bool, whom Select lets through; persistence : (T,) s of each tag's session flag
+    """
+
+    def __init__(
+        self, profile: Profile, duration: float, seed: Array, antenna_key: Array, tag_key: Array, asked: Array, persistence: Array
+    ) -> None:
+        several = len(antenna_key) > 1
+        self._reader = _Reader(
+            *slots(profile.link).__dict__.values(),
+            between=profile.between_rounds,
+            switch=profile.port_switch if several else 0.0,
+            shortest=ALONE if not several and profile.dual_target else 0.0,  # with one target whom it asks changes from round to round
+            longest=profile.longest_visit,
+            q=profile.start_q,
+            session=profile.session,
+            single=not profile.dual_target,
+        )
+        self._duration = float(duration)
+        self._keys = np.asarray(seed, dtype=np.uint64)[()], np.array(antenna_key), np.array(tag_key)
+        self._setting = np.array(asked), np.array(persistence, dtype=np.float64)
+        self._port, self._start = 0, self._reader.switch
+        self._number, self._expected = np.zeros(len(antenna_key), dtype=np.int64), np.full(len(antenna_key), 1 << profile.start_q)
+        self._until = np.full(len(tag_key), -np.inf)
+
+    @property
+    def shortest_visit(self) -> float:
+        """s from one visit to the next, at the least."""
+        reader = self._reader
+        return max(reader.shortest, reader.switch + min(reader.longest, reader.between + reader.query))
+
+    def ports_before(self, t: float) -> Array:
+        """(M,) ports that it may begin to visit before `t` s, the one it is at first."""
+        ports = len(self._number)
+        ahead = int((t - self._start) / self.shortest_visit) + 1 if t > self._start else 0
+        return (self._port + np.arange(min(ahead, ports))) % max(ports, 1)
+
+    def run(self, heard: Hearing) -> Inventory:
+        """All visits that begin before the end of `heard`, which must not begin after the reader's present time."""
+        room, end = 0, min(heard.end, self._duration)
+        while True:
+            silent = np.empty((room, 2), dtype=np.int64)
+            state = self._number.copy(), self._expected.copy(), self._until.copy()
+            place = self._port, self._start
+            port, start, visits, ends, visit, tag, t, needed = _run(
+                self._reader, heard.first, heard.tags, heard.step, heard.begin, end, self._duration, *place, *self._keys, *self._setting,
+                *state, silent,
+            )  # fmt: skip
+            if needed <= room:
+                break
+            room = needed  # once more, with room for all: nothing else changes
+        self._port, self._start = port, start
+        self._number, self._expected, self._until = state
+        return Inventory(visits[:, 0], visits[:, 1], visits[:, 2], ends[:, 0], ends[:, 1], visit, tag, t, silent[:needed])
 
 
 def inventory(
     profile: Profile, heard: Hearing, duration: float, seed: Array, antenna_key: Array, tag_key: Array, asked: Array, persistence: Array
 ) -> Inventory:
-    """All visits of a reader in [0, duration] s.
-
-    seed : () uint64, the reader's in this trial; antenna_key (A,) and tag_key (T,) uint64
-    asked : (T,) bool, whom Select lets through; persistence : (T,) s of each tag's session flag
-    """
-    reader = _Reader(
-        *slots(profile.link).__dict__.values(),
-        between=profile.between_rounds,
-        switch=profile.port_switch if len(antenna_key) > 1 else 0.0,
-        shortest=0.0 if len(antenna_key) > 1 else ALONE,
-        longest=profile.longest_visit,
-        q=profile.start_q,
-        session=profile.session,
-        single=not profile.dual_target,
-    )
-    keys = np.asarray(seed, dtype=np.uint64)[()], np.array(antenna_key), np.array(tag_key)
-    setting = np.array(asked), np.array(persistence, dtype=np.float64)
-    room = 0
-    while True:
-        silent = np.empty((room, 2), dtype=np.int64)
-        visits, ends, visit, tag, t, needed = _run(reader, heard.first, heard.tags, heard.step, float(duration), *keys, *setting, silent)
-        if needed <= room:
-            break
-        room = needed  # once more, with room for all: nothing else changes
-    return Inventory(visits[:, 0], visits[:, 1], visits[:, 2], ends[:, 0], ends[:, 1], visit, tag, t, silent[:needed])
+    """All visits of a reader in [0, duration] s; see `Interrogator`. What is heard in the last cell holds until the end."""
+    missing = int(np.ceil(duration / heard.step)) - (heard.begin + heard.first.shape[1] - 1)
+    if missing > 0 and heard.first.shape[1] > 1:
+        raise ValueError(f"heard ends at {heard.end:g} s, before the inventory does at {duration:g} s: give cells for all of it")
+    return Interrogator(profile, duration, seed, antenna_key, tag_key, asked, persistence).run(heard)
 
 
 # ---------------------------------------------------------------- the slots
@@ -210,22 +256,29 @@ def _visit(reader, start, stop, expected, here, tag_key, own, until, persistence
 
 
 @njit(cache=True)
-def _run(reader, first, tags, step, duration, seed, antenna_key, tag_key, asked, persistence, silent):
-    """Visits in turn until the time is up. Writes (visit, tag) of the silenced to `silent`, as far as it reaches.
+def _run(
+    reader, first, tags, step, begin, last, duration, port, start, seed, antenna_key, tag_key, asked, persistence,
+    number, expected, until, silent,
+):  # fmt: skip
+    """Visits in turn, from `port` at `start` on, as long as they begin before `last`. Writes (visit, tag) of the silenced to `silent`,
+    as far as it reaches.
 
-    Returns (port, number, rounds) and (start, end) of visits, visit, tag and time of reads, and how many are silenced.
+    number, expected (A,) and until (T,) are the reader's memory and go on being used.
+    Returns port and start of the next visit, (port, number, rounds) and (start, end) of visits, visit, tag and time of reads, and how
+    many are silenced.
     """
-    ports, count, port, start = len(antenna_key), 0, 0, reader.switch
-    many, silenced = 0, 0
-    most = int((duration + reader.shortest) / reader.success) + 1
+    ports, count, many, silenced = len(antenna_key), 0, 0, 0
+    span = max(duration - start, 0.0)
+    if ports > 1:
+        span = min(span, max(last - start, 0.0) + reader.longest)
+    most = int((span + reader.shortest) / reader.success) + 1
     found, when, of = np.empty(most, dtype=np.int64), np.empty(most), np.empty(most, dtype=np.int64)
-    most = int(duration / max(reader.shortest, reader.switch + min(reader.longest, reader.between + reader.query))) + 2
+    most = int(span / max(reader.shortest, reader.switch + min(reader.longest, reader.between + reader.query))) + 2
     visits, ends = np.empty((most, 3), dtype=np.int64), np.empty((most, 2))
-    number, expected = np.zeros(ports, dtype=np.int64), np.full(ports, 1 << reader.q)
-    until, slot = np.full(len(tag_key), -np.inf), np.zeros((2, 1 << LARGEST_Q), dtype=np.int64)
+    slot = np.zeros((2, 1 << LARGEST_Q), dtype=np.int64)
     here = np.empty(len(tag_key), dtype=np.int64)
-    while ports and start < duration:
-        cell, hear = min(int(start / step), first.shape[1] - 2), 0
+    while ports and start < last:
+        cell, hear = min(max(int(start / step) - begin, 0), first.shape[1] - 2), 0
         for i in range(first[port, cell], first[port, cell + 1]):
             k = tags[i]
             if asked[k]:
@@ -250,4 +303,4 @@ def _run(reader, first, tags, step, duration, seed, antenna_key, tag_key, asked,
         number[port] += 1
         count += 1
         port, start = (port + 1) % ports, end + reader.switch
-    return visits[:count], ends[:count], of[:many], found[:many], when[:many], silenced
+    return port, start, visits[:count], ends[:count], of[:many], found[:many], when[:many], silenced

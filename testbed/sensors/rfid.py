@@ -1,202 +1,273 @@
-"""A UHF RFID reader with its antennas: reads with RSSI and phase, and the rounds and counts behind them.
+"""UHF RFID readers with their antennas: reads with RSSI, phase and Doppler, and the rounds and counts behind them.
 
-Works in two passes over arrays, in chunks of bounded memory. First one margin per (dwell, antenna, tag) in range says which
-tags can answer and how the reader's time is shared; then the channel is evaluated at the times of the reads themselves,
-where forward and reverse margin decide again. RSSI, phase and margins come from the same complex h.
+Works in passes over arrays, in blocks of time of bounded memory. First one margin per antenna, tag in reach and step of time says
+who may answer whom; then the readers run their inventory rounds among those (`testbed.radio.inventory`); then the channel is
+evaluated at the times of the reads themselves, where forward and reverse margin decide, and what is left becomes rows
+(`testbed.radio.artefacts`). RSSI, phase, Doppler and margins come from the same complex h (`testbed.radio.channel`).
+
+With `detection: logistic_beta` counts come from the published model instead, and there are no reads (`testbed.sensors.counting`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from typing import ClassVar
 
 import numpy as np
 
-from testbed.columns import Array, Table
-from testbed.protocols import Sensed, Surroundings
-from testbed.radio.channel import Channel, Fixed
-from testbed.radio.links import Ends, Links, StaticObstruction
-from testbed.radio.propagation import POLARISATION_DB, direct_path, phase_of, power_at_reader, power_at_tag
-from testbed.radio.reader import Schedule, expand, schedule, shared_reads
+from testbed.columns import Array
+from testbed.protocols import Caster, Sensed, Surroundings, Tagged
+from testbed.radio.artefacts import Answers, Artefacts
+from testbed.radio.channel import Channel, Fixed, Response
+from testbed.radio.inventory import PERSISTENCE, Interrogator, Inventory, hearing
+from testbed.radio.links import Ends
+from testbed.radio.propagation import phase_of, power_at_reader, power_at_tag
 from testbed.radio.regions import REGIONS
 from testbed.radio.setting import Radio
-from testbed.rng import Counter, keys_of
-from testbed.scene import Scene
+from testbed.rng import Counter, keys_of, mix
+from testbed.scene import WORLD, Scene
+from testbed.sensors.counting import CountingConfig, Shade, counted, reader_names
 from testbed.sensors.placement import place_antennas
 from testbed.sensors.rfid_section import RfidConfig
+from testbed.sensors.stimulus import line_of_sight, stream_figures
 from testbed.types import Antennas, Counts, Reads, Rounds
-from testbed.units import SPEED_OF_LIGHT
 
-CELLS = 1_000_000  # dwell × tag pairs in one chunk: about 200 MB of temporaries at the most
-
-
-@dataclass(frozen=True)
-class _Channel:
-    """h of N links, the obstacles on them, and whether forward and reverse margin both hold."""
-
-    h: Array
-    obstacles: Array
-    received: Array  # dBm at the reader
-    heard: Array  # bool
+CELLS = 1_000_000  # (antenna, step, tag) triples in one block: about 200 MB of temporaries at the most
+SLACK = 3.0  # dB, one way: whoever is this little short of waking in the middle of a step takes part, for a fade is shorter than that
+PULSE = 1e-3  # s over which the turn of the phase is called Doppler: the length of a tag's answer
 
 
 class Rfid:
-    """One reader and its antennas. Left out: sessions and Select, Doppler (NaN).
+    """Readers of one make, a reader for each `ports` antennas, and their antennas.
 
-    Without a `channel` section the wave goes straight through obstacles and fades from dwell to dwell; with one it bends round edges,
-    is reflected and has a diffuse part (`testbed.radio.channel`).
+    Left out: interference between readers, and between a reader's own antennas; Doppler of standing links (what passes near them
+    turns their phase too; 0 is said).
     """
 
     Config: ClassVar[type[RfidConfig]] = RfidConfig
     produces: ClassVar[frozenset[str]] = frozenset({"reads", "rounds", "counts"})
 
     def __init__(self, config: RfidConfig, id: str, scene: Scene) -> None:
-        self._config, self._id, self._region = config, id, REGIONS[config.region]
-        self._antennas, self._ends = place_antennas(config, id, scene)
+        self.config, self.id, self.region = config, id, REGIONS[config.region]
+        antennas, self.ends = place_antennas(config, id, scene)
+        self._antennas = antennas.with_(reader=self._names(antennas, scene))
         self._scene = scene
-        self._static: StaticObstruction | None = None
         self._fixed: tuple[Radio, Fixed] | None = None
+        self._shade: Shade | None = None
+
+    def _names(self, antennas: Antennas, scene: Scene) -> Array:
+        """(A,) the reader of each antenna: the sensor where it has one, "<sensor>.<n>" where it has several."""
+        if isinstance(self.config.detection, CountingConfig):
+            return reader_names(scene, antennas, self.id)
+        number = np.arange(len(antennas)) // (self.config.reader.ports or len(antennas))
+        return np.array([f"{self.id}.{n + 1}" if number[-1] > 0 else self.id for n in number])
 
     def antennas(self) -> Antennas:
-        """The reader's antennas where the scenario puts them."""
+        """The readers' antennas where the scenario puts them."""
         return self._antennas
 
     def frequencies(self) -> Array:
         """(C,) Hz: the hop table of its region."""
-        return self._region.carriers
+        return self.region.carriers
 
     def sense(self, around: Surroundings, first_antenna: int) -> Sensed:
         """Reads, rounds and counts of a whole trial."""
-        return _Trial(self, around, first_antenna).run()
+        if not isinstance(self.config.detection, CountingConfig):
+            return _Trial(self, around, first_antenna).sensed()
+        if self._shade is None and self.config.detection.geometry:
+            self._shade = Shade(around, self._antennas, self.ends, self.frequencies())
+        made = counted(self.config.detection, self.id, self._antennas, self.ends, around, first_antenna, self._shade)
+        return replace(made, streams={"reads": Reads.empty(), **made.streams})
 
-    def _links(self, around: Surroundings) -> Links:
-        if self._static is None:
-            self._static = StaticObstruction(len(self._antennas), len(around.tagged.tags))
-        far = Ends(around.tagged.body, around.tagged.pose)
-        return Links(self._antennas, self._ends, far, around.truth, around.caster, self._static)
+    def radio(self, caster: Caster, tagged: Tagged, limit: bool = True) -> Radio:
+        """Its links as far as no trial changes them. `limit` False: every link in full, whether it can be heard or not."""
+        far = Ends(tagged.body, tagged.pose)
+        return Radio(self.config.channel, self._scene, caster, self._antennas, self.ends, tagged.tags, far, self.frequencies(), limit)
 
-    def _channel_of(self, around: Surroundings) -> Channel | None:
-        """The full channel in this trial, if the scenario has one. What stands still is found once for all trials."""
-        config = self._config.channel
-        if config is None:
-            return None
+    def channel(self, around: Surroundings) -> Channel:
+        """The channel in one trial. What stands still is found once for all trials."""
         if self._fixed is None:
-            tagged = around.tagged
-            far = Ends(tagged.body, tagged.pose)
-            radio = Radio(config, self._scene, around.caster, self._antennas, self._ends, tagged.tags, far, self.frequencies())
+            radio = self.radio(around.caster, around.tagged)
             self._fixed = radio, Fixed(radio)
         return Channel(*self._fixed, around.truth, around.root, around.trial)
 
+    def carrier(self, around: Surroundings, antenna: Array, t: Array) -> Array:
+        """(N,) places in the hop table of antennas (N,) at times t (N,): a fresh draw each `dwell_s` of the region, for each reader."""
+        draws = Counter(around.root, 0, f"sensors.{self.id}.hop")  # the table is the reader's own, the same in every trial
+        bits = draws.bits(np.floor(t / self.region.dwell_s).astype(np.int64), self.reader_of(antenna))
+        return (bits % np.uint64(len(self.region.carriers))).astype(np.int64)
+
+    def reader_of(self, antenna: Array) -> Array:
+        """(N,) which of the sensor's readers serves antennas (N,)."""
+        return np.asarray(antenna) // (self.config.reader.ports or len(self._antennas))
+
+    def margins(self, response: Response, antenna: Array, tag: Array, tagged: Tagged) -> tuple[Array, Array, Array]:
+        """dBm at the reader (N,), and the dB by which the tag (N,) and the reader (N,) get more than they need."""
+        power, profile = self._antennas.power[antenna], self.config.reader.resolved()
+        received = power_at_reader(response.h, power, self.config.modulation_loss_db)
+        return received, power_at_tag(response.h, power) - tagged.tags.sensitivity[tag], received - profile.sensitivity_dbm
+
+
+@dataclass(frozen=True)
+class _Block:
+    """What was found out in one block of time: reads, and the visits behind them."""
+
+    reads: Reads
+    visit: Array  # (reads,) index of each read's visit
+    rounds: Rounds
+    silenced: Array  # (S, 2): index of a visit, tag
+
 
 class _Trial:
-    """One trial of one reader: the keys of its draws, and the two passes."""
+    """One trial: the readers at work, block by block."""
 
-    def __init__(self, reader: Rfid, around: Surroundings, first_antenna: int) -> None:
-        self._config, self._region, self._around, self._first = reader._config, reader._region, around, first_antenna
-        self._antennas, self._links, self._full = reader._antennas, reader._links(around), reader._channel_of(around)
-        self._tags = around.tagged.tags
-        self._antenna_key, self._tag_key = keys_of(self._antennas.id), keys_of(self._tags.id)
-        self._name = f"sensors.{reader._id}"
-        self._draws = {
-            what: Counter(around.root, around.trial, f"{self._name}.{what}") for what in ("fade", "share", "time", "rssi", "phase")
-        }
-        # what belongs to the hardware is the same in every trial
-        self._hop, self._offset = (Counter(around.root, 0, f"{self._name}.{what}") for what in ("hop", "offset"))
-        gain = self._antennas.gain.max(initial=-np.inf) + (self._tags.gain - self._tags.sensitivity).max(initial=-np.inf)
-        budget = self._config.power_dbm + gain - POLARISATION_DB + 4 * self._config.fade_db
-        wavelength = SPEED_OF_LIGHT / self._region.carriers.min()
-        self._reach = wavelength / (4 * np.pi) * 10 ** (budget / 20)  # m: beyond it no tag wakes, fading four sigma up included
+    def __init__(self, sensor: Rfid, around: Surroundings, first_antenna: int) -> None:
+        self._sensor, self._config, self._around, self._first = sensor, sensor.config, around, first_antenna
+        self._channel, self._tags = sensor.channel(around), around.tagged.tags
+        self._profile, name = sensor.config.reader.resolved(), f"sensors.{sensor.id}"
+        self._antenna_key, self._tag_key = keys_of(sensor.antennas().id), keys_of(self._tags.id)
+        self._artefacts = Artefacts(
+            sensor.config.artefacts, self._profile, around.root, around.trial, name, self._antenna_key, self._tag_key
+        )
+        select = sensor.config.reader.select
+        self._asked = np.array([select is None or any(fnmatchcase(str(id), p) for p in select) for id in self._tags.id], dtype=bool)
+        low, high = PERSISTENCE.get(self._profile.session, (0.0, 0.0))
+        persistence = low + (high - low) * Counter(around.root, 0, f"{name}.persistence").uniform(self._tag_key)
+        slots = Counter(around.root, around.trial, f"{name}.slots").key
+        reader = sensor.reader_of(np.arange(len(self._antenna_key)))
+        self._ports = np.split(np.arange(len(reader)), np.flatnonzero(np.diff(reader)) + 1)
+        self._readers = [
+            Interrogator(self._profile, around.duration, mix(slots), self._antenna_key[p], self._tag_key, self._asked, persistence)
+            for p in self._ports
+        ]
 
-    def run(self) -> Sensed:
-        config = self._config
-        dwells = schedule(len(self._antennas), self._around.duration, config.dwell_s, config.switch_s)
-        step = max(1, CELLS // max(1, len(self._tags)))
-        parts = [self._chunk(dwells, np.arange(i, min(i + step, len(dwells)))) for i in range(0, len(dwells), step)]
-        reads = Reads.concatenate([p[0] for p in parts])
-        dwell = np.concatenate([p[1] for p in parts]) if parts else np.empty(0, dtype=np.int64)
-        seen, clear = sum(p[2] for p in parts), sum(p[3] for p in parts)
+    def sensed(self) -> Sensed:
+        blocks, visits = [], 0
+        for begin, end in self._blocks():
+            blocks.append(self._block(begin, end, visits))
+            visits += len(blocks[-1].rounds)
+        reads = Reads.concatenate([b.reads for b in blocks])
+        visit = np.concatenate([b.visit for b in blocks]) if blocks else np.empty(0, dtype=np.int64)
+        rounds, sets = self._asked_in(Rounds.concatenate([b.rounds for b in blocks]), [b.silenced for b in blocks])
         order = np.argsort(reads.t, kind="stable")
-        streams = {"reads": reads.take(order), "rounds": self._rounds(dwells), "counts": self._counts(reads, dwell)}
-        wanted = np.isin(reads.tag, self._around.target_tags).sum()
+        counts = _counted(rounds, reads, visit)
+        figures = stream_figures(reads, self._channel.radio)
+        tags = self._around.target_tags
+        figures["line_of_sight"] = line_of_sight(self._channel.radio, self._around.truth, self._around.duration, tags)
         seconds = max(self._around.duration, 1e-9)
-        return Sensed(streams, {"line_of_sight": (clear / seen if seen else np.nan, seen)}, {"target_reads_hz": float(wanted / seconds)})
+        rates = {"target_reads_hz": float(np.isin(reads.tag, tags).sum() / seconds), "reads_hz": len(reads) / seconds}
+        reads = reads.with_(antenna=reads.antenna + self._first).take(order)
+        rounds = rounds.with_(antenna=rounds.antenna + self._first)
+        counts = counts.with_(antenna=counts.antenna + self._first)
+        return Sensed({"reads": reads, "rounds": rounds, "counts": counts}, figures, rates, asked_sets=sets)
 
-    def _chunk(self, dwells: Schedule, k: Array) -> tuple[Reads, Array, int, int]:
-        """Reads of the dwells k and the dwell of each; how many target links were in reach, and how many of them were clear."""
-        middle = (dwells.start[k] + dwells.end[k]) / 2
-        everyone = np.arange(len(self._tags))
-        place, tag = self._in_reach(dwells.antenna[k], middle)
-        channel = self._evaluate(dwells.antenna[k][place], dwells.visit[k][place], tag, middle[place])
-        can_answer = np.zeros((len(k), len(everyone)), dtype=bool)
-        can_answer[place, tag] = channel.heard
-        keys = (self._antenna_key[dwells.antenna[k]][:, None], dwells.visit[k][:, None], self._tag_key[None, :])
-        n = shared_reads(can_answer, self._config.read_rate_hz * self._config.dwell_s, self._draws["share"], keys)
-        about = np.isin(tag, self._around.target_tags)
-        reads, dwell = self._reads(dwells, k, n)
-        return reads, dwell, int(about.sum()), int((channel.obstacles[about] == 0).sum())
+    # ------------------------------------------------------------ blocks of time
 
-    def _in_reach(self, antenna: Array, t: Array) -> tuple[Array, Array]:
-        """(dwell, tag) of the links of antennas (K,) at times t (K,) that may be heard at all."""
-        if self._full is not None:
-            return self._full.candidates(antenna, t)
-        place, tag = (a.ravel() for a in np.meshgrid(np.arange(len(antenna)), np.arange(len(self._tags)), indexing="ij"))
-        near = self._links.geometry(antenna[place], tag, t[place]).distance <= self._reach
-        return place[near], tag[near]
+    def _blocks(self) -> Iterator[tuple[int, int]]:
+        """(first, end) steps of blocks: long ones where a reader comes by all its ports in a few steps anyway, else a step each."""
+        step, ports = self._config.reader.step_s, max(map(len, self._ports), default=0)
+        steps = int(np.ceil(self._around.duration / step - 1e-9))
+        width = 1
+        if ports * self._readers[0].shortest_visit <= 2 * step:
+            width = max(1, CELLS // max(1, len(self._antenna_key) * len(self._tags)))
+        for first in range(0, steps, width):
+            yield first, min(first + width, steps)
 
-    def _reads(self, dwells: Schedule, k: Array, n: Array) -> tuple[Reads, Array]:
-        """The second pass: the channel at the times of n (dwells, tags) reads; those that fail there are no reads."""
-        cell, number = expand(n)
-        dwell, tag = k[cell // n.shape[1]], cell % n.shape[1]
-        antenna, visit = dwells.antenna[dwell], dwells.visit[dwell]
-        keys = (self._antenna_key[antenna], visit, self._tag_key[tag], number)
-        t = dwells.start[dwell] + (dwells.end[dwell] - dwells.start[dwell]) * self._draws["time"].uniform(*keys)
-        channel = self._evaluate(antenna, visit, tag, t)
-        config, hop = self._config, self._channel_index(t)
-        rssi = channel.received + config.rssi_noise_db * self._draws["rssi"].normal(*keys)
-        if config.rssi_step_db > 0:
-            rssi = np.round(rssi / config.rssi_step_db) * config.rssi_step_db
-        offset = 2 * np.pi * self._offset.uniform(self._antenna_key[antenna], self._tag_key[tag], hop) if config.phase_offsets else 0.0
-        phase = phase_of(channel.h, offset + config.phase_noise_rad * self._draws["phase"].normal(*keys))
-        reads = Reads(t=t, t_arrival=t + config.latency_s, antenna=antenna + self._first, tag=tag, channel=hop, rssi=rssi, phase=phase)
-        return reads.take(channel.heard), dwell[channel.heard]
+    def _block(self, begin: int, end: int, visits: int) -> _Block:
+        """Steps begin to end; `visits` were made before."""
+        step, number, done = self._config.reader.step_s, visits, []
+        antenna, cell, tag = self._hearing(begin, end)
+        for ports, reader in zip(self._ports, self._readers, strict=True):
+            mine = (antenna >= ports[0]) & (antenna <= ports[-1])
+            heard = hearing(len(ports), end - begin, step, antenna[mine] - ports[0], cell[mine] - begin, tag[mine], begin)
+            made = reader.run(heard)
+            done.append((made, ports, number))
+            number += len(made.antenna)
+        reads, visit = self._reads(done)
+        return _Block(reads, visit, self._rounds(done), np.concatenate([m.silenced + np.array([n, 0]) for m, _, n in done]))
 
-    def _evaluate(self, antenna: Array, visit: Array, tag: Array, t: Array) -> _Channel:
-        """The complex channel of links at their instants, and whether a read would succeed."""
-        fade = self._config.fade_db * self._draws["fade"].normal(self._antenna_key[antenna], visit, self._tag_key[tag])
-        carrier = self._channel_index(t)
-        if self._full is not None:
-            response = self._full.respond(antenna, tag, t, carrier)
-            h, obstacles = response.h * 10 ** (fade / 20), response.count
-        else:
-            geometry = self._links.geometry(antenna, tag, t)
-            obstruction = self._links.obstruction(antenna, tag, t, geometry)
-            gain = geometry.gain + self._tags.gain[tag] - POLARISATION_DB
-            h = direct_path(geometry.distance, self._region.carriers[carrier], gain + fade, obstruction.loss)
-            obstacles = obstruction.count
-        received = power_at_reader(h, self._antennas.power[antenna], self._config.modulation_loss_db)
-        wakes = power_at_tag(h, self._antennas.power[antenna]) >= self._tags.sensitivity[tag]
-        return _Channel(h, obstacles, received, wakes & (received >= self._config.sensitivity_dbm))
+    def _hearing(self, begin: int, end: int) -> tuple[Array, Array, Array]:
+        """(antenna, step, tag) of who may answer whom in these steps, of the ports that the readers may come by."""
+        step = self._config.reader.step_s
+        ports = np.concatenate([p[r.ports_before(end * step)] for p, r in zip(self._ports, self._readers, strict=True)])
+        cell, antenna = (a.ravel() for a in np.meshgrid(np.arange(begin, end), ports, indexing="ij"))
+        t = np.minimum((cell + 0.5) * step, self._around.duration)
+        place, tag = self._channel.candidates(antenna, t)
+        antenna, cell, t = antenna[place], cell[place], t[place]
+        response = self._channel.respond(antenna, tag, t, self._sensor.carrier(self._around, antenna, t))
+        _, forward, reverse = self._sensor.margins(response, antenna, tag, self._around.tagged)
+        able = (forward >= -SLACK) & (reverse >= -2 * SLACK)
+        return antenna[able], cell[able], tag[able]
 
-    def _channel_index(self, t: Array) -> Array:
-        """(N,) places in the hop table: a fresh draw each `dwell_s` of the region."""
-        number = np.floor(t / self._region.dwell_s).astype(np.int64)
-        return (self._hop.bits(number) % np.uint64(len(self._region.carriers))).astype(np.int64)
+    # ------------------------------------------------------------ what comes of it
 
-    def _rounds(self, dwells: Schedule) -> Table:
-        queries = int(np.ceil(self._config.read_rate_hz * self._config.dwell_s))
-        n = len(dwells)
+    def _reads(self, done: list[tuple[Inventory, Array, int]]) -> tuple[Reads, Array]:
+        """The channel at the times of the reads; those that fail there are none. And the visit of each."""
+        visit = np.concatenate([m.visit + n for m, _, n in done])
+        antenna = np.concatenate([p[m.antenna[m.visit]] for m, p, _ in done])
+        number = np.concatenate([m.number[m.visit] for m, _, _ in done])
+        tag, t = np.concatenate([m.tag for m, _, _ in done]), np.concatenate([m.t for m, _, _ in done])
+        carrier = self._sensor.carrier(self._around, antenna, t)
+        response = self._channel.respond(antenna, tag, t, carrier)
+        received, forward, reverse = self._sensor.margins(response, antenna, tag, self._around.tagged)
+        read = (forward >= 0) & (reverse >= 0)
+        answers = Answers(
+            antenna=antenna, tag=tag, visit=number, count=_repeats(visit, tag), channel=carrier, t=t, received=received,
+            phase=phase_of(response.h), doppler=self._doppler(antenna, tag, t, carrier, response.h, read),
+        )  # fmt: skip
+        return self._artefacts.reported(answers).take(read), visit[read]
+
+    def _doppler(self, antenna: Array, tag: Array, t: Array, carrier: Array, h: Array, read: Array) -> Array:
+        """(N,) Hz: turn of the phase, 2·arg h, over PULSE, divided by 4π, as readers define it; f v / c for the direct path alone."""
+        radio, found = self._channel.radio, np.zeros(len(t))
+        moves = np.flatnonzero(read & ((radio.near.body[antenna] != WORLD) | (radio.far.body[tag] != WORLD)))
+        if len(moves):
+            later = self._channel.respond(antenna[moves], tag[moves], t[moves] + PULSE, carrier[moves]).h
+            found[moves] = np.angle(later * np.conj(h[moves])) / (2 * np.pi * PULSE)
+        return found
+
+    def _rounds(self, done: list[tuple[Inventory, Array, int]]) -> Rounds:
+        made = [m for m, _, _ in done]
+        begun = np.concatenate([m.rounds for m in made])
+        t_end = np.concatenate([m.end for m in made])
         return Rounds(
-            round=np.arange(n),
-            t_start=dwells.start,
-            t_end=dwells.end,
-            t_arrival=dwells.end + self._config.latency_s,
-            antenna=dwells.antenna + self._first,
-            reader=np.zeros(n),
-            queries=np.full(n, queries),
+            round=np.concatenate([np.arange(len(m.antenna)) + n for m, _, n in done]),
+            t_start=np.concatenate([m.start for m in made]),
+            t_end=t_end,
+            t_arrival=t_end + self._config.artefacts.latency_s,
+            antenna=np.concatenate([p[m.antenna] for m, p, _ in done]),
+            reader=np.concatenate([np.full(len(m.antenna), r) for r, m in enumerate(made)]),
+            queries=begun if self._profile.dual_target else np.minimum(begun, 1),  # with one target whoever was read isn't asked again
         )
 
-    def _counts(self, reads: Reads, dwell: Array) -> Table:
-        if not len(reads):
-            return Counts.empty()
-        cells, n = np.unique(np.stack([dwell, reads.antenna, reads.tag], axis=1), axis=0, return_counts=True)
-        return Counts(round=cells[:, 0], antenna=cells[:, 1], tag=cells[:, 2], n=n)
+    def _asked_in(self, rounds: Rounds, silenced: list[Array]) -> tuple[Rounds, Array]:
+        """The rounds with whom each asked, and the sets (S, tags) that they name; the first is all whom Select lets through."""
+        rows = np.concatenate([s for s in silenced if len(s)] or [np.empty((0, 2), dtype=np.int64)])
+        visits, of = np.unique(rows[:, 0], return_inverse=True)
+        masks = np.tile(self._asked, (len(visits), 1))
+        masks[of.ravel(), rows[:, 1]] = False
+        packed, which = np.unique(np.packbits(masks, axis=1), axis=0, return_inverse=True)
+        sets = np.unpackbits(packed, axis=1, count=len(self._asked)).astype(bool)
+        asked = np.zeros(len(rounds), dtype=np.int64)
+        asked[visits] = which.ravel() + 1
+        return rounds.with_(asked=asked), np.concatenate([self._asked[None, :], sets.reshape(-1, len(self._asked))])
+
+
+def _repeats(visit: Array, tag: Array) -> Array:
+    """(N,) which read of its tag in its visit each one is, for reads in order of time within a visit."""
+    order = np.lexsort((tag, visit))
+    new = np.ones(len(order), dtype=bool)
+    new[1:] = (np.diff(visit[order]) != 0) | (np.diff(tag[order]) != 0)
+    place = np.arange(len(order))
+    found = np.empty(len(order), dtype=np.int64)
+    found[order] = place - np.maximum.accumulate(np.where(new, place, 0))
+    return found
+
+
+def _counted(rounds: Rounds, reads: Reads, visit: Array) -> Counts:
+    if not len(reads):
+        return Counts.empty()
+    cells, n = np.unique(np.stack([visit, reads.tag], axis=1), axis=0, return_counts=True)
+    return Counts(round=rounds.round[cells[:, 0]], antenna=rounds.antenna[cells[:, 0]], tag=cells[:, 1], n=n)

@@ -1,45 +1,89 @@
-"""The `rfid` section of a scenario: antennas, reader and channel."""
+"""The `rfid` section of a scenario: antennas, reader, channel, what the reader makes of a wave, and where counts come from."""
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from testbed.quantity import Config, DecibelMilliwatts, Decibels, Hertz, Seconds
+from testbed.quantity import Config, DecibelMilliwatts, Decibels, Seconds
+from testbed.radio.artefacts import OFF, ArtefactsConfig
+from testbed.radio.profiles import PROFILES, Profile, profile
 from testbed.radio.regions import REGIONS
 from testbed.radio.setting import ChannelConfig
 from testbed.sensors.antenna_rule import AntennaRule
+from testbed.sensors.counting import CountingConfig
+
+
+class ReaderConfig(Config):
+    """A reader: the name of its profile (`testbed.radio.profiles`), and what differs from it.
+
+    ports  : antennas that one reader serves in turn; more antennas make more readers, which work at the same time
+    select : patterns over tag ids that Select lets through; the others are not asked
+    step_s : how long a margin holds, before the channel is asked anew who can answer; reads are checked at their own times
+    """
+
+    profile: Annotated[str, Field(json_schema_extra={"enum": list(PROFILES)})] = "fx7500"
+    ports: Annotated[int, Field(ge=1, le=10_000)] | None = None
+    sensitivity_dbm: Annotated[DecibelMilliwatts, Field(ge=-120, le=0)] | None = None
+    session: Literal[0, 1, 2, 3] | None = None
+    dual_target: bool | None = None
+    start_q: Annotated[int, Field(ge=0, le=12)] | None = None
+    between_rounds_s: Annotated[Seconds, Field(ge=0, le=1)] | None = None
+    port_switch_s: Annotated[Seconds, Field(ge=0, le=1)] | None = None
+    longest_visit_s: Annotated[Seconds, Field(ge=0.002, le=60)] | None = None
+    select: Annotated[list[str], Field(min_length=1)] | None = None
+    step_s: Annotated[Seconds, Field(ge=0.005, le=10)] = 0.1
+
+    @field_validator("profile")
+    @classmethod
+    def _known(cls, value: str) -> str:
+        profile(value)
+        return value
+
+    @field_validator("select", mode="before", json_schema_input_type=str | list[str])
+    @classmethod
+    def _one_pattern_is_a_list_of_one(cls, value: Any) -> Any:
+        return [value] if isinstance(value, str) else value
+
+    def resolved(self) -> Profile:
+        """The profile with what is given here."""
+        given = {name.removesuffix("_s"): value for name, value in self.model_dump(exclude={"profile"}).items() if value is not None}
+        return profile(self.profile, **{f.name: given[f.name] for f in fields(Profile) if f.name in given})
 
 
 class RfidConfig(Config):
-    """A reader. Defaults are of an FX7500-like reader over several tags, 35 dBm EIRP."""
+    """A reader with its antennas, or several of one make. Defaults are of an FX7500-like reader, 35 dBm EIRP."""
 
     antennas: Annotated[list[AntennaRule], Field(min_length=1, max_length=10_000)]
     region: Literal["etsi", "fcc"] = "etsi"
     power_dbm: Annotated[DecibelMilliwatts, Field(ge=-30, le=40)] = 29.0
-    sensitivity_dbm: Annotated[DecibelMilliwatts, Field(ge=-120, le=0)] = -84.0
     modulation_loss_db: Annotated[Decibels, Field(ge=0, le=40)] = 8.0
-    read_rate_hz: Annotated[Hertz, Field(gt=0, le=2000)] = 180.0
-    dwell_s: Annotated[Seconds, Field(ge=0.001, le=10)] = 0.04
-    switch_s: Annotated[Seconds, Field(ge=0, le=1)] = 0.002
-    latency_s: Annotated[Seconds, Field(ge=0, le=60)] = 0.0
-    channel: ChannelConfig | None = None  # edges, reflections, diffuse part; without, the straight path through obstacles and fading_db
-    fading_db: Annotated[Decibels, Field(ge=0, le=20)] | None = None  # of the one-way gain, from dwell to dwell: 1, with a channel 0
-    rssi_noise_db: Annotated[Decibels, Field(ge=0, le=20)] = 0.5
-    rssi_step_db: Annotated[Decibels, Field(ge=0, le=10)] = 0.5
-    phase_noise_rad: Annotated[float, Field(ge=0, le=4)] = 0.05
-    phase_offsets: bool = True
+    reader: ReaderConfig = Field(default_factory=ReaderConfig)
+    channel: ChannelConfig = Field(default_factory=ChannelConfig)
+    artefacts: ArtefactsConfig = Field(default_factory=ArtefactsConfig)
+    detection: Literal["link"] | CountingConfig = "link"  # logistic_beta: counts alone, from the published model; reader and channel rest
 
     @field_validator("antennas", mode="before", json_schema_input_type=AntennaRule | list[AntennaRule])
     @classmethod
     def _one_rule_is_a_list_of_one(cls, value: Any) -> Any:
         return [value] if isinstance(value, dict | AntennaRule) else value
 
-    @property
-    def fade_db(self) -> float:
-        """Standard deviation of the fading from dwell to dwell: a channel brings a diffuse part of its own."""
-        return self.fading_db if self.fading_db is not None else 1.0 if self.channel is None else 0.0
+    @field_validator("reader", mode="before", json_schema_input_type=ReaderConfig | str)
+    @classmethod
+    def _a_name_is_a_profile(cls, value: Any) -> Any:
+        return {"profile": value} if isinstance(value, str) else value
+
+    @field_validator("artefacts", mode="before", json_schema_input_type=ArtefactsConfig | Literal["off"])
+    @classmethod
+    def _off_is_all_of_them(cls, value: Any) -> Any:
+        return OFF if isinstance(value, str) and value == "off" else value
+
+    @field_validator("detection", mode="before", json_schema_input_type=Literal["link", "logistic_beta"] | CountingConfig)
+    @classmethod
+    def _a_name_is_a_kind(cls, value: Any) -> Any:
+        return CountingConfig() if isinstance(value, str) and value == "logistic_beta" else value
 
     @model_validator(mode="after")
     def _within_the_limit(self) -> RfidConfig:

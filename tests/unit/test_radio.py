@@ -9,10 +9,8 @@ from testbed import frames
 from testbed.radio import materials
 from testbed.radio.antenna import exponent, off_boresight, pattern_db
 from testbed.radio.propagation import direct_path, phase_of, power_at_reader, power_at_tag
-from testbed.radio.reader import expand, schedule, shared_reads
 from testbed.radio.regions import REGIONS
 from testbed.radio.tags import tag_model
-from testbed.rng import Counter
 from testbed.units import SPEED_OF_LIGHT, wrap
 
 F = 866.3e6
@@ -59,40 +57,6 @@ def test_an_antenna_looks_along_its_own_x():
     cosine, distance = off_boresight(q, np.array([[0.0, 2.0, 0.0], [3.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
     np.testing.assert_allclose(cosine, [1, 0, -1], atol=1e-12)
     np.testing.assert_allclose(distance, [2, 3, 1])
-
-
-@given(st.integers(1, 8), st.floats(0, 5), st.floats(0.005, 0.5), st.floats(0, 0.1))
-def test_dwells_take_turns_and_never_overlap(antennas, duration, dwell, switch):
-    plan = schedule(antennas, duration, dwell, switch)
-    assert np.array_equal(plan.antenna, np.arange(len(plan)) % antennas)
-    assert np.all(plan.start[1:] >= plan.end[:-1] + switch - 1e-9)
-    assert not len(plan) or plan.end[-1] <= duration + 1e-6
-    assert duration < dwell or duration - plan.end[-1] < dwell + switch + 1e-6
-
-
-def test_reader_time_is_shared_and_nothing_is_lost_on_average():
-    # mean of K uniform roundings has a standard error below 0.5 / sqrt(K); 5 sigma on 3 sums: false alarm 2e-6
-    k = 4000
-    can = np.ones((k, 6), dtype=bool)
-    can[:, 5] = False
-    n = shared_reads(can, 7.2, Counter(1, 0, "share"), (np.arange(k)[:, None], np.arange(6)[None, :]))
-    assert (n[:, 5] == 0).all()
-    np.testing.assert_allclose(n[:, :5].mean(axis=0), 7.2 / 5, atol=5 * 0.5 / np.sqrt(k))
-
-
-def test_a_silent_tag_leaves_the_reads_of_the_others_alone():
-    keys = np.arange(3, dtype=np.uint64) + np.uint64(100)
-    two = shared_reads(np.ones((50, 2), bool), 5.0, Counter(1, 0, "s"), (np.arange(50)[:, None], keys[None, :2]))
-    can = np.ones((50, 3), bool)
-    can[:, 2] = False
-    three = shared_reads(can, 5.0, Counter(1, 0, "s"), (np.arange(50)[:, None], keys[None, :]))
-    assert np.array_equal(two, three[:, :2])
-
-
-def test_expansion_numbers_the_reads_of_each_cell():
-    cell, number = expand(np.array([[2, 0], [0, 3]]))
-    assert cell.tolist() == [0, 0, 3, 3, 3]
-    assert number.tolist() == [0, 1, 0, 1, 2]
 
 
 def test_losses_of_materials_are_in_the_ranges_that_they_are_sourced_from():

@@ -66,7 +66,7 @@ def test_a_tag_out_of_reach_changes_no_read():
 
 
 def test_two_readers_keep_their_rounds_apart():
-    other = {"id": "others", "kind": "rfid", "antennas": {"on": "post[34]"}, "dwell_s": 0.1}
+    other = {"id": "others", "kind": "rfid", "antennas": {"on": "post[34]"}, "reader": "r420"}
     both = streams(sensors=[POSTS, other])
     rounds, counts = both["rounds"], both["counts"]
     assert len(np.unique(rounds.round)) == len(rounds)
@@ -75,6 +75,17 @@ def test_two_readers_keep_their_rounds_apart():
     place = {r: i for i, r in enumerate(rounds.round.tolist())}
     assert all(rounds.antenna[place[r]] == a for r, a in zip(counts.round.tolist(), counts.antenna.tolist(), strict=True))
     assert np.all(np.diff(both["reads"].t_arrival) >= 0)
+
+
+def test_readers_that_ask_some_tags_only_keep_their_populations_apart():
+    tags = [{"id": "near1", "position_m": [3, 2, 1]}, {"id": "near2", "position_m": [4, 3, 1]}]
+    other = {"id": "others", "kind": "rfid", "antennas": {"on": "post[34]"}, "reader": {"select": "near*"}}
+    wheel = {"id": "wheel", "kind": "odometry", "on": "t1"}
+    recording = trials(sensors=[wheel, {**POSTS, "antennas": {"on": "post[12]"}}, other], tags=tags)[0].recording
+    rounds, ids = recording.streams["rounds"], [str(id) for id in recording.site.tags.id]
+    asked = recording.asked_sets[rounds.asked]
+    assert asked[rounds.reader == 0].all()
+    assert np.array_equal(asked[rounds.reader == 1].any(axis=0), [id.startswith("near") for id in ids])
 
 
 def test_the_seed_of_a_trial_can_be_given():
