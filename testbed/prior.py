@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def draw_prior(model: PriorModel, trials: Sequence[Trial], root: int) -> Prior:
-    """The prior of every target of every trial, in that order: B rows over position and velocity, at t = 0.
+    """The prior of every target of every trial, in that order: B rows over position and velocity, `age_s` before t = 0.
 
     The covariance is what the model says. The mean is the model's own place and velocity where it gives them, else the truth
     at t = 0 plus a draw from that covariance, keyed by the target's name: all estimators of a trial start from the same one.
@@ -33,4 +33,4 @@ def draw_prior(model: PriorModel, trials: Sequence[Trial], root: int) -> Prior:
             mean[:, 3:] = model.velocity_mps
         means.append(mean)
     mean = np.concatenate([*means, np.empty((0, 6))])
-    return Prior(np.zeros(len(mean)), mean, np.tile(np.diag(std**2), (len(mean), 1, 1)), POSITION_VELOCITY)
+    return Prior(np.full(len(mean), -model.age_s), mean, np.tile(np.diag(std**2), (len(mean), 1, 1)), POSITION_VELOCITY)

@@ -20,6 +20,7 @@ from testbed.scene import Scene, Truth
 from testbed.walk import RoadWalk
 from worlds.paths import Trip, plan
 from worlds.roads import PointTrip, walk
+from worlds.steady import SteadyTrip, steady
 
 if TYPE_CHECKING:
     from worlds.bullet import Client
@@ -73,10 +74,10 @@ class Mover:
             self._client = None
 
 
-def _trip(route: Any, roads: Roads | None, duration: float, random: np.random.Generator) -> Trip | PointTrip:
+def _trip(route: Any, roads: Roads | None, duration: float, random: np.random.Generator) -> Trip | PointTrip | SteadyTrip:
     """A trial's trip along a route, or along the roads for an actor that wanders."""
     if not isinstance(route, RoadWalk):
-        return plan(route, random)
+        return steady(route, random) if route.pace == "steady" else plan(route, random)
     if roads is None:
         raise ValueError("a walk wants roads, and this scene has none")
     return walk(route, roads, duration, random)

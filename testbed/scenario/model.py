@@ -49,12 +49,16 @@ _Publications = Annotated[
 
 
 class PriorModel(Config):
-    """What an estimator is told before it starts: a normal distribution, drawn around the truth at t = 0 or given."""
+    """What an estimator is told before it starts: a normal distribution, drawn around the truth at t = 0 or given.
+
+    `age_s`: how old that knowledge is when the recording begins. A filter predicts over it before its first update.
+    """
 
     position_std_m: _Spreads = (0.5, 0.5, 0.5)
     velocity_std_mps: _SpeedSpreads = (0.25, 0.25, 0.25)
     position_m: Point3 | None = None
     velocity_mps: tuple[MetresPerSecond, MetresPerSecond, MetresPerSecond] | None = None
+    age_s: Annotated[Seconds, Field(ge=0, le=3600)] = 0.0
 
 
 class SurveyModel(Config):
@@ -145,6 +149,8 @@ class ActorModel(Config):
             extra = {"position_m", "yaw_deg"} & self.model_fields_set
             if extra:
                 raise ValueError(f"{min(extra)} is for parked actors: this one starts at its first way point")
+            if self.motion == "dynamic" and self.route is not None and self.route.pace == "steady":
+                raise ValueError("pace steady is for motion kinematic: no body with a mass goes round a sharp corner at full speed")
         return self
 
 

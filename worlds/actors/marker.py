@@ -1,0 +1,36 @@
+"""A small thing that carries tags and is in nobody's way: a carton of a hand's width, for studies of estimators alone."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from testbed import quantity
+from testbed.geometry import Boxes, Mounts
+from testbed.quantity import Metres
+from worlds.parts import MATERIALS, Builder
+
+
+class Marker:
+    """A cube of `size_m` about its own origin, which is not on the floor but where the thing is. No mounts: tags have positions.
+
+    Left out: everything that a body does to a radio link, unless it stands in the way of one.
+    """
+
+    class Config(quantity.Config):
+        size_m: Annotated[Metres, Field(gt=0, le=1)] = 0.1
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+        half = config.size_m / 2
+        self._built = Builder()
+        self._built.box("carton", (-half, -half, -half), (half, half, half))
+
+    def boxes(self) -> tuple[Boxes, tuple[str, ...]]:
+        """One box in the body frame and the names of the materials."""
+        return self._built.boxes(), MATERIALS
+
+    def mounts(self) -> Mounts:
+        """None."""
+        return self._built.mounts()
