@@ -19,6 +19,7 @@ from testbed.scene import Scene
 from worlds.hall import BaseHall
 from worlds.parts import UPRIGHT, GateSize, Part, RackSize, floor_pose, gate, rack, wall
 from worlds.road_racks import Stand, stands
+from worlds.vehicles import Drivable
 
 WALL = 0.2  # m
 
@@ -120,9 +121,9 @@ class RoadHall(BaseHall):
         return np.array([[*(nodes.min(axis=0) - reach), 0.0], [*(nodes.max(axis=0) + reach), c.height_m]])
 
     def scene(self, actors: Sequence[ActorPlan]) -> Scene:
-        """The hall with its actors at rest. ValueError, naming the way point, for a route that leaves the roads."""
+        """The hall with its actors at rest. ValueError, naming the way point, for the route of a vehicle that leaves the roads."""
         for plan in actors:
-            if isinstance(plan.route, Route):
+            if isinstance(plan.route, Route) and isinstance(plan.actor, Drivable):  # a person goes where there is room
                 self._keeps_to_the_roads(plan.id, plan.route)
         return super().scene(actors)
 

@@ -2,13 +2,15 @@
 
 import numpy as np
 import pytest
+from scipy.stats import kstest, uniform, vonmises
 
 from testbed import frames
 from testbed.geometry import Boxes
 from testbed.protocols import Surroundings, Tagged
 from testbed.scene import Body, Scene, Truth
-from testbed.sensors.compass import Compass
+from testbed.sensors.compass import Compass, von_mises
 from testbed.sensors.odometry import Odometry
+from testbed.sensors.steel import distance_to, standing_steel
 from testbed.types import Tags
 from testbed.units import wrap
 
@@ -76,6 +78,77 @@ def test_the_wandering_error_has_its_size_and_its_correlation_time():
         assert abs(error[:, k].std() / 10 - 1) < 5 / np.sqrt(2 * trials)
     later = np.corrcoef(error[:, 50], error[:, 70])[0, 1]  # 2 s apart
     assert abs(later - np.exp(-1)) < 5 * (1 - np.exp(-2)) / np.sqrt(trials)
+
+
+def test_the_bias_of_a_range_is_uniform_and_moves_no_other_draw():
+    ranged = {**QUIET, "bias_range_mps": 0.5, "noise_std_mps": 0.1}
+    bias = np.array([np.mean(sensed(Odometry, trial=i, **ranged).speed[1:-1] - SPEED) for i in range(200)])
+    assert kstest(bias, uniform(-0.5, 1.0).cdf).pvalue > 1e-6  # false alarm 1e-6
+    bare = sensed(Odometry, **{**ranged, "bias_range_mps": 0.0}).speed
+    assert np.ptp(sensed(Odometry, **ranged).speed - bare) < 1e-12
+
+
+@pytest.mark.parametrize("kappa", [0.0, 0.5, 2.0, 50.0])
+def test_von_mises_noise_follows_its_distribution(kappa):
+    heading = sensed(Compass, rate_hz=400, bias_std_deg=0, noise_kappa=kappa)
+    error = wrap(heading.heading - (SPEED / RADIUS * heading.t + np.pi / 2))
+    assert kstest(error, vonmises(kappa).cdf if kappa else uniform(-np.pi, 2 * np.pi).cdf).pvalue > 1e-6  # false alarm 1e-6
+
+
+def test_von_mises_draws_are_quantiles():
+    share = np.linspace(0.001, 0.999, 41)
+    np.testing.assert_allclose(von_mises(share, 2.0), vonmises.ppf(share, 2.0), atol=2e-4)
+
+
+# ---------------------------------------------------------------- steel
+
+
+STEEL_SCENE = Scene(
+    (Body("f", "forklift", frames.IDENTITY, moving=True), Body("rack", "rack", frames.IDENTITY)),
+    Boxes(
+        np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 5.0]]),
+        np.tile([1.0, 0, 0, 0], (2, 1)),
+        np.array([[0.5, 0.5, 1], [9, 9, 0.1]]),
+        [1, 1],
+        [0, 1],
+    ),
+    ("steel", "wood"),
+    np.zeros((2, 3)),
+)
+
+
+def test_steel_is_what_stands_and_is_of_steel():
+    steel = standing_steel(STEEL_SCENE)
+    np.testing.assert_allclose(steel, [[0, 0, 0.5, 0.5]])
+    np.testing.assert_allclose(distance_to(steel, np.array([[0.2, 0.1], [1.5, 0.0], [3.5, 4.5]])), [0, 1, 5])
+    assert np.isinf(distance_to(steel[:0], np.zeros((1, 2)))).all()
+
+
+def test_the_error_by_steel_belongs_to_the_place_and_falls_off():
+    errors = []
+    for trial in range(300):
+        made = Compass(
+            Compass.Config(on="f", bias_std_deg=0, noise_std_deg=0, steel_std_deg=20, steel_reach_m=2.0, steel_length_m=3.0),
+            "s",
+            STEEL_SCENE,
+        )
+        around = Surroundings(
+            STEEL_SCENE, circle(), Tagged(Tags.empty(), np.empty(0), np.empty((0, 7))), ["f"], np.empty(0), SECONDS, None, 1, trial
+        )
+        (stream,) = made.sense(around, 0).streams.values()
+        errors.append(np.rad2deg(wrap(stream.heading - (SPEED / RADIUS * stream.t + np.pi / 2))))
+    errors = np.array(errors)
+    t = np.arange(errors.shape[1]) / 10
+    angle = SPEED / RADIUS * t
+    place = RADIUS * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    expected = 20 * np.exp(-0.5 * (distance_to(standing_steel(STEEL_SCENE), place) / 2.0) ** 2)
+    ratio = errors[:, 1:-1].std(axis=0) / expected[1:-1]
+    assert abs(ratio.mean() - 1) < 0.15
+    assert np.abs(ratio - 1).max() < 5 / np.sqrt(2 * 300) + 0.05  # five sigma, and what 48 waves lack of a normal field
+    again = np.hypot(*(place[1:-1, None] - place[None, 1:-1]).transpose(2, 0, 1)) < 0.08
+    i, k = np.nonzero(np.triu(again, 20))
+    assert len(i)  # the circle is driven more than twice
+    assert np.abs(errors[:, 1 + i] - errors[:, 1 + k]).max() < 4.0
 
 
 def test_samples_speak_of_the_target_on_the_body_or_of_nobody():
