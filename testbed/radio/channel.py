@@ -170,12 +170,7 @@ class Channel:
 
     def _parts(self, links: Array, antenna: Array, tag: Array, posed: Posed) -> Parts:
         radio = self._radio
-        lines = radio.lines(antenna, tag, posed, links)
-        near = posed.near(links, lines.start, lines.end, self._widest(lines.distance))
-        seen = radio.sight(lines, self._obstacles(posed, links, near))
-        paths = radio.reflections(lines, antenna, tag)
-        near = self._near_paths(paths, lines, links, posed, self._widest(paths.length))
-        mirrored = radio.sight_mirrored(paths, lines, self._obstacles(posed, links[paths.link], near))
+        lines, seen, paths, mirrored = look(radio, posed, links, antenna, tag)
         return Parts(lines, seen, paths, mirrored, self._stir(links, antenna, tag, lines, posed))
 
     def _standing(self, links: Array, antenna: Array, tag: Array, pair: Array, carrier: Array, posed: Posed) -> Response:
@@ -187,7 +182,7 @@ class Channel:
         near = np.flatnonzero(posed.near(links, lines.start, lines.end, fixed.margin[pair]))
         touched, again = self._again(near, seen, links, posed, lambda rows, o: radio.sight(lines.take(rows), o))
         seen = _replaced(seen, touched, again)
-        near = np.flatnonzero(self._near_paths(paths, lines, links, posed, fixed.path_margin[which]))
+        near = np.flatnonzero(_near_paths(paths, lines, links, posed, fixed.path_margin[which]))
         crossed, again = self._again(
             near, mirrored, links[paths.link], posed, lambda rows, o: radio.sight_mirrored(paths.take(rows), lines, o)
         )
@@ -203,15 +198,15 @@ class Channel:
             h[rows] = self._sum(lines.take(rows), seen.take(rows), over, mirrored.take(own), radio.frequencies[carrier[rows]], by)
         return self._response(h, lines, seen)
 
-    def _again(self, near: Array, before: Sight, links: Array, posed: Posed, look: Look) -> tuple[Array, Sight]:
+    def _again(self, near: Array, before: Sight, links: Array, posed: Posed, again: Look) -> tuple[Array, Sight]:
         """Which of the lines (or paths) `near` moving bodies they change, and how those look now; `links` (N,) are all lines' links.
 
         Only where a body touches the zone anything has changed, or may have where a way round is taken.
         """
         everywhere = np.ones(len(near), dtype=bool)
-        movers = look(near, self._obstacles(posed, links[near], everywhere, still=False))
+        movers = again(near, _obstacles(self._radio, posed, links[near], everywhere, still=False))
         rows = near[(movers.clear < 1) | (movers.loss > 0) | (before.detour[near] > 0)]
-        return rows, look(rows, self._obstacles(posed, links[rows], everywhere[: len(rows)]))
+        return rows, again(rows, _obstacles(self._radio, posed, links[rows], everywhere[: len(rows)]))
 
     def _still(self, pair: Array, carrier: Array) -> Array:
         """(N,) h of fixed pairs with nothing moving near them: found once a trial for each pair and carrier."""
@@ -228,18 +223,6 @@ class Channel:
 
     # ------------------------------------------------------------ pieces
 
-    def _obstacles(self, posed: Posed, links: Array, near: Array, still: bool = True) -> Obstacles:
-        instants, instant = np.unique(posed.instant[links], return_inverse=True)
-        return Obstacles(self._radio.caster, posed.poses[instants], instant.astype(np.int64), near, still)
-
-    def _widest(self, distance: Array) -> Array:
-        return BULGE * clearance(SEARCH, distance / 2, distance, self._radio.wavelength)
-
-    def _near_paths(self, paths: Paths, lines: Lines, links: Array, posed: Posed, margin: Array) -> Array:
-        """(M,) bool: whether a moving body comes within `margin` (M,) m of either leg of each path."""
-        of, turn = links[paths.link], paths.point
-        return posed.near(of, lines.start[paths.link], turn, margin) | posed.near(of, turn, lines.end[paths.link], margin)
-
     def _stir(self, links: Array, antenna: Array, tag: Array, lines: Lines, posed: Posed) -> Stir:
         if self._field is None or not len(self._radio.movers):
             return Stir.empty()
@@ -248,26 +231,54 @@ class Channel:
 
     def _sum(self, lines: Lines, seen: Sight, paths: Paths, mirrored: Sight, frequency: Array, stir: Stir | None) -> Array:
         """(N,) h: all parts together."""
-        h, diffuse, over = self.terms(lines, seen, paths, mirrored, frequency, stir)
-        h = h + diffuse
-        if len(paths):
-            h += np.bincount(paths.link, np.real(over), len(h)) + 1j * np.bincount(paths.link, np.imag(over), len(h))
-        return h
-
-    def terms(
-        self, lines: Lines, seen: Sight, paths: Paths, mirrored: Sight, frequency: Array, stir: Stir | None
-    ) -> tuple[Array, Array, Array]:
-        """The parts of h, complex, at carriers (N,) Hz: direct (N,), diffuse (N,), and of each reflection (M,)."""
-        h, diffuse = _along(lines.distance, frequency, lines.gain, seen), np.zeros(len(lines))
-        if self._field is not None:
-            k = self._radio.rice_factor(seen.clear)
-            diffuse = np.sqrt(1 / (k + 1)) * np.abs(h) * self._field.at(lines.start, lines.end, frequency, stir)
-            h = np.sqrt(k / (k + 1)) * h
-        return h, diffuse, paths.coefficient * _along(paths.length, frequency[paths.link], paths.gain, mirrored)
+        mean, spread = mean_and_spread(self._radio, lines, seen, paths, mirrored, frequency)
+        return mean if self._field is None else mean + spread * self._field.at(lines.start, lines.end, frequency, stir)
 
     @staticmethod
     def _response(h: Array, lines: Lines, seen: Sight) -> Response:
         return Response(h=h, distance=lines.distance, loss=seen.loss, clear=seen.clear, count=seen.count)
+
+
+def look(radio: Radio, posed: Posed, links: Array, antenna: Array, tag: Array) -> tuple[Lines, Sight, Paths, Sight]:
+    """`links` (N,) of `posed` between antennas (N,) and tags (N,), asked anew: straight lines, reflections, and what either loses."""
+    lines = radio.lines(antenna, tag, posed, links)
+    near = posed.near(links, lines.start, lines.end, _widest(radio, lines.distance))
+    seen = radio.sight(lines, _obstacles(radio, posed, links, near))
+    paths = radio.reflections(lines, antenna, tag)
+    near = _near_paths(paths, lines, links, posed, _widest(radio, paths.length))
+    return lines, seen, paths, radio.sight_mirrored(paths, lines, _obstacles(radio, posed, links[paths.link], near))
+
+
+def mean_and_spread(radio: Radio, lines: Lines, seen: Sight, paths: Paths, mirrored: Sight, frequency: Array) -> tuple[Array, Array]:
+    """(mean (N,) complex, spread (N,)) of h = mean + spread · D at carriers (N,) Hz.
+
+    D is the diffuse field (`testbed.radio.diffuse`): complex, Gaussian but for its finitely many waves, of unit power. So |h| is Rician
+    about a known mean. Without a diffuse part the spread is 0.
+    """
+    mean, spread = _along(lines.distance, frequency, lines.gain, seen), np.zeros(len(lines))
+    if radio.config.diffuse:
+        k = radio.rice_factor(seen.clear)
+        spread = np.sqrt(1 / (k + 1)) * np.abs(mean)
+        mean = np.sqrt(k / (k + 1)) * mean
+    if len(paths):
+        over = paths.coefficient * _along(paths.length, frequency[paths.link], paths.gain, mirrored)
+        mean += np.bincount(paths.link, np.real(over), len(mean)) + 1j * np.bincount(paths.link, np.imag(over), len(mean))
+    return mean, spread
+
+
+def _obstacles(radio: Radio, posed: Posed, links: Array, near: Array, still: bool = True) -> Obstacles:
+    instants, instant = np.unique(posed.instant[links], return_inverse=True)
+    return Obstacles(radio.caster, posed.poses[instants], instant.astype(np.int64), near, still)
+
+
+def _widest(radio: Radio, distance: Array) -> Array:
+    return BULGE * clearance(SEARCH, distance / 2, distance, radio.wavelength)
+
+
+def _near_paths(paths: Paths, lines: Lines, links: Array, posed: Posed, margin: Array) -> Array:
+    """(M,) bool: whether a moving body comes within `margin` (M,) m of either leg of each path."""
+    of, turn = links[paths.link], paths.point
+    return posed.near(of, lines.start[paths.link], turn, margin) | posed.near(of, turn, lines.end[paths.link], margin)
 
 
 def _along(distance: Array, frequency: Array, gain: Array, seen: Sight) -> Array:
