@@ -168,6 +168,14 @@ class Channel:
         """What `respond` puts together for antennas (N,) and tags (N,) at times t (N,), each link looked at from scratch."""
         return self._parts(np.arange(len(tag)), antenna, tag, self._radio.movers.at(self._truth, t))
 
+    def terms(self, parts: Parts, frequency: Array) -> tuple[Array, Array, Array]:
+        """What h is the sum of, complex, at carriers (N,) Hz: direct (N,), diffuse (N,), and each reflection (M,)."""
+        lines = parts.lines
+        direct, spread, over = _terms(self._radio, lines, parts.sight, parts.paths, parts.mirrored, frequency)
+        if self._field is None:
+            return direct, np.zeros_like(direct), over
+        return direct, spread * self._field.at(lines.start, lines.end, frequency, parts.stir), over
+
     def _parts(self, links: Array, antenna: Array, tag: Array, posed: Posed) -> Parts:
         radio = self._radio
         lines, seen, paths, mirrored = look(radio, posed, links, antenna, tag)
@@ -255,15 +263,21 @@ def mean_and_spread(radio: Radio, lines: Lines, seen: Sight, paths: Paths, mirro
     D is the diffuse field (`testbed.radio.diffuse`): complex, Gaussian but for its finitely many waves, of unit power. So |h| is Rician
     about a known mean. Without a diffuse part the spread is 0.
     """
-    mean, spread = _along(lines.distance, frequency, lines.gain, seen), np.zeros(len(lines))
+    direct, spread, over = _terms(radio, lines, seen, paths, mirrored, frequency)
+    if not len(paths):
+        return direct, spread
+    real, imaginary = (np.bincount(paths.link, part, len(direct)) for part in (np.real(over), np.imag(over)))
+    return direct + (real + 1j * imaginary), spread
+
+
+def _terms(radio: Radio, lines: Lines, seen: Sight, paths: Paths, mirrored: Sight, frequency: Array) -> tuple[Array, Array, Array]:
+    """The direct part (N,), complex; the spread (N,) of the diffuse one; and each reflection (M,), complex."""
+    direct, spread = _along(lines.distance, frequency, lines.gain, seen), np.zeros(len(lines))
     if radio.config.diffuse:
         k = radio.rice_factor(seen.clear)
-        spread = np.sqrt(1 / (k + 1)) * np.abs(mean)
-        mean = np.sqrt(k / (k + 1)) * mean
-    if len(paths):
-        over = paths.coefficient * _along(paths.length, frequency[paths.link], paths.gain, mirrored)
-        mean += np.bincount(paths.link, np.real(over), len(mean)) + 1j * np.bincount(paths.link, np.imag(over), len(mean))
-    return mean, spread
+        spread = np.sqrt(1 / (k + 1)) * np.abs(direct)
+        direct = np.sqrt(k / (k + 1)) * direct
+    return direct, spread, paths.coefficient * _along(paths.length, frequency[paths.link], paths.gain, mirrored)
 
 
 def _obstacles(radio: Radio, posed: Posed, links: Array, near: Array, still: bool = True) -> Obstacles:
