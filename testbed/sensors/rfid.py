@@ -17,7 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from testbed.columns import Array
+from testbed.columns import Array, Table, column
 from testbed.protocols import Caster, Sensed, Surroundings, Tagged
 from testbed.radio.artefacts import Answers, Artefacts
 from testbed.radio.channel import Channel, Fixed, Response
@@ -109,13 +109,53 @@ class Rfid:
         received = power_at_reader(response.h, power, self.config.modulation_loss_db)
         return received, power_at_tag(response.h, power) - tagged.tags.sensitivity[tag], received - profile.sensitivity_dbm
 
+    def able(self, around: Surroundings, channel: Channel, antenna: Array, t: Array) -> tuple[Array, Array]:
+        """(place (N,), tag (N,)): who may answer antennas (K,) in steps with their middles at t (K,), or at the trial's end before that.
+
+        Whoever is not among them takes no part in visits that begin in that step.
+        """
+        t = np.minimum(t, around.duration)
+        place, tag = channel.candidates(antenna, t)
+        antenna, t = antenna[place], t[place]
+        response = channel.respond(antenna, tag, t, self.carrier(around, antenna, t))
+        _, forward, reverse = self.margins(response, antenna, tag, around.tagged)
+        enough = (forward >= -SLACK) & (reverse >= -2 * SLACK)
+        return place[enough], tag[enough]
+
+    def diary(self, around: Surroundings) -> Diary:
+        """What its readers did in a trial, once more: the visits that `sense` makes, and what became of every answer."""
+        return _Trial(self, around, 0).diary()
+
+
+@dataclass(frozen=True, eq=False)
+class Slots(Table):
+    """Slots in which one tag alone answered: in which visit of the trial, which tag, when, and whether the link carried it to be a read."""
+
+    visit: Array = column("int64")
+    tag: Array = column("int32")
+    t: Array = column("float64", unit="s")
+    read: Array = column("bool")
+
+
+@dataclass(frozen=True)
+class Diary:
+    """What a sensor's readers did in a trial. Antennas and readers are numbered within the sensor.
+
+    rounds : its visits, in the order that `slots.visit` counts; sets (S, tags) bool : whom they asked (`rounds.asked`), the first of
+    them all whom Select lets through
+    """
+
+    rounds: Rounds
+    sets: Array
+    slots: Slots
+
 
 @dataclass(frozen=True)
 class _Block:
-    """What was found out in one block of time: reads, and the visits behind them."""
+    """What was found out in one block of time: reads, those slots that held one, and the visits behind them."""
 
     reads: Reads
-    visit: Array  # (reads,) index of each read's visit
+    slots: Slots
     rounds: Rounds
     silenced: Array  # (S, 2): index of a visit, tag
 
@@ -143,14 +183,14 @@ class _Trial:
             for p in self._ports
         ]
 
+    def diary(self) -> Diary:
+        return self._written([replace(block, reads=Reads.empty()) for block in self._made()])
+
     def sensed(self) -> Sensed:
-        blocks, visits = [], 0
-        for begin, end in self._blocks():
-            blocks.append(self._block(begin, end, visits))
-            visits += len(blocks[-1].rounds)
+        blocks = list(self._made())
         reads = Reads.concatenate([b.reads for b in blocks])
-        visit = np.concatenate([b.visit for b in blocks]) if blocks else np.empty(0, dtype=np.int64)
-        rounds, sets = self._asked_in(Rounds.concatenate([b.rounds for b in blocks]), [b.silenced for b in blocks])
+        diary = self._written(blocks)
+        rounds, sets, visit = diary.rounds, diary.sets, diary.slots.visit[diary.slots.read]
         order = np.argsort(reads.t, kind="stable")
         counts = _counted(rounds, reads, visit)
         figures = stream_figures(reads, self._channel.radio)
@@ -163,7 +203,18 @@ class _Trial:
         counts = counts.with_(antenna=counts.antenna + self._first)
         return Sensed({"reads": reads, "rounds": rounds, "counts": counts}, figures, rates, asked_sets=sets)
 
+    def _written(self, blocks: list[_Block]) -> Diary:
+        rounds, sets = self._asked_in(Rounds.concatenate([b.rounds for b in blocks]), [b.silenced for b in blocks])
+        return Diary(rounds, sets, Slots.concatenate([b.slots for b in blocks]))
+
     # ------------------------------------------------------------ blocks of time
+
+    def _made(self) -> Iterator[_Block]:
+        visits = 0
+        for begin, end in self._blocks():
+            block = self._block(begin, end, visits)
+            visits += len(block.rounds)
+            yield block
 
     def _blocks(self) -> Iterator[tuple[int, int]]:
         """(first, end) steps of blocks: long ones where a reader comes by all its ports in a few steps anyway, else a step each."""
@@ -185,26 +236,21 @@ class _Trial:
             made = reader.run(heard)
             done.append((made, ports, number))
             number += len(made.antenna)
-        reads, visit = self._reads(done)
-        return _Block(reads, visit, self._rounds(done), np.concatenate([m.silenced + np.array([n, 0]) for m, _, n in done]))
+        reads, slots = self._reads(done)
+        return _Block(reads, slots, self._rounds(done), np.concatenate([m.silenced + np.array([n, 0]) for m, _, n in done]))
 
     def _hearing(self, begin: int, end: int) -> tuple[Array, Array, Array]:
         """(antenna, step, tag) of who may answer whom in these steps, of the ports that the readers may come by."""
         step = self._config.reader.step_s
         ports = np.concatenate([p[r.ports_before(end * step)] for p, r in zip(self._ports, self._readers, strict=True)])
         cell, antenna = (a.ravel() for a in np.meshgrid(np.arange(begin, end), ports, indexing="ij"))
-        t = np.minimum((cell + 0.5) * step, self._around.duration)
-        place, tag = self._channel.candidates(antenna, t)
-        antenna, cell, t = antenna[place], cell[place], t[place]
-        response = self._channel.respond(antenna, tag, t, self._sensor.carrier(self._around, antenna, t))
-        _, forward, reverse = self._sensor.margins(response, antenna, tag, self._around.tagged)
-        able = (forward >= -SLACK) & (reverse >= -2 * SLACK)
-        return antenna[able], cell[able], tag[able]
+        place, tag = self._sensor.able(self._around, self._channel, antenna, (cell + 0.5) * step)
+        return antenna[place], cell[place], tag
 
     # ------------------------------------------------------------ what comes of it
 
-    def _reads(self, done: list[tuple[Inventory, Array, int]]) -> tuple[Reads, Array]:
-        """The channel at the times of the reads; those that fail there are none. And the visit of each."""
+    def _reads(self, done: list[tuple[Inventory, Array, int]]) -> tuple[Reads, Slots]:
+        """The channel at the times of the answers; those that fail there are no reads. And all their slots."""
         visit = np.concatenate([m.visit + n for m, _, n in done])
         antenna = np.concatenate([p[m.antenna[m.visit]] for m, p, _ in done])
         number = np.concatenate([m.number[m.visit] for m, _, _ in done])
@@ -217,7 +263,7 @@ class _Trial:
             antenna=antenna, tag=tag, visit=number, count=_repeats(visit, tag), channel=carrier, t=t, received=received,
             phase=phase_of(response.h), doppler=self._doppler(antenna, tag, t, carrier, response.h, read),
         )  # fmt: skip
-        return self._artefacts.reported(answers).take(read), visit[read]
+        return self._artefacts.reported(answers).take(read), Slots(visit=visit, tag=tag, t=t, read=read)
 
     def _doppler(self, antenna: Array, tag: Array, t: Array, carrier: Array, h: Array, read: Array) -> Array:
         """(N,) Hz: turn of the phase, 2·arg h, over PULSE, divided by 4π, as readers define it; f v / c for the direct path alone."""
