@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
-from scipy.special import betaln, gammaln, xlog1py, xlogy
+from scipy.special import gammaln
 
 from testbed.quantity import Config, Metres
 from testbed.types import Array
@@ -74,15 +74,19 @@ class DetectionModel:
         return np.where(d > self.config.farthest_m, 0.0, np.clip(raw, 0.0, self.config.largest_share * m * (1 - m)))
 
     def log_alive(self, n: ArrayLike, queries: ArrayLike, distance: ArrayLike, degrees: ArrayLike) -> Array:
-        """log of the Beta-binomial alone, no dead zone: the exact path, by log-Beta functions."""
+        """log of the Beta-binomial alone, no dead zone: the exact path.
+
+        With e = 1 / (α + β) it is C(N, n) Π(m + k e) Π(1 - m + k e) / Π(1 + k e), over k below n, N - n and N: unlike a difference of
+        log-Beta functions it keeps its digits as the variance, and e, go to 0, where it is the binomial distribution.
+        """
         n, q, d, angle = np.broadcast_arrays(np.asarray(n, dtype=np.float64), queries, distance, degrees)
         m, v = self.mean(d, angle), self.spread(d, angle)
-        log = xlogy(n, m) + xlog1py(q - n, -m)
-        wide = v > 1e-12 * m * (1 - m)
-        strength = m[wide] * (1 - m[wide]) / v[wide] - 1
-        alpha, beta = m[wide] * strength, (1 - m[wide]) * strength
-        log[wide] = betaln(n[wide] + alpha, q[wide] - n[wide] + beta) - betaln(alpha, beta)
-        return log + gammaln(q + 1.0) - gammaln(n + 1) - gammaln(q - n + 1)
+        e = v / (m * (1 - m) - v)
+        log = gammaln(q + 1.0) - gammaln(n + 1) - gammaln(q - n + 1)
+        for k in range(int(np.max(q, initial=0))):
+            log = log + np.where(k < n, np.log(m + k * e), 0.0) + np.where(k < q - n, np.log1p(-m + k * e), 0.0)
+            log = log - np.where(k < q, np.log1p(k * e), 0.0)
+        return log
 
     def log_mass(self, n: ArrayLike, queries: ArrayLike, distance: ArrayLike, degrees: ArrayLike, shut: ArrayLike = 0.0) -> Array:
         """log P(n) of Eq. 7, with geometry closing a share `shut` besides the residual dead zone. Broadcast."""
