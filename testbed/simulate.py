@@ -96,6 +96,11 @@ class Simulator:
         )
         return self._surroundings(truth, root, index)
 
+    def at_rest(self) -> Surroundings:
+        """The hall before any trial: every body where the scenario puts it, nothing drawn, nothing moved; time is 0."""
+        poses = self.scene.rest_poses()[self.scene.moving]
+        return self._surroundings(Truth(t=np.zeros(1), poses=poses[None], bodies=self.scene.moving_names), self.scenario.seed, 0)
+
     def _sensed(self, around: Surroundings) -> Trial:
         scenario, sensed, first = self.scenario, [], 0
         for sensor in self.sensors:
