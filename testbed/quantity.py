@@ -22,6 +22,14 @@ class Config(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
 
 
+class Misplaced(ValueError):
+    """A mistake with a place of its own: `place` are the keys and indices that lead to it from the section that is judged."""
+
+    def __init__(self, place: tuple[str | int, ...], message: str) -> None:
+        super().__init__(message)
+        self.place = place
+
+
 _UNIT_TEXT = re.compile(r"[A-Za-zµμ°%]+[A-Za-z0-9µμ°/^* -]*")
 _LOGARITHMIC = {"dB", "dBm", "dBi"}  # levels and gains: no conversion makes sense, the unit must be the field's own
 

@@ -11,12 +11,13 @@ from testbed import frames
 from testbed.columns import Array, Table
 from testbed.plugins import load
 from testbed.protocols import ActorPlan, Sensed, Sensor, Surroundings, World
-from testbed.radio.materials import losses
+from testbed.quantity import Misplaced
+from testbed.radio.materials import MATERIALS, losses
 from testbed.recording import Recording, Trial
 from testbed.report.cameras import mistakes
 from testbed.rng import Counter, keys_of
 from testbed.route import Route
-from testbed.scene import Scene, Truth
+from testbed.scene import WORLD, Scene, Truth
 from testbed.tagging import choose_targets, place_tags
 from testbed.types import Antennas, References, Site
 
@@ -42,7 +43,7 @@ class Simulator:
             self.sensors = [self._sensor(section) for section in scenario.sensors]
             self._check_radios()
             self._check_cameras()
-            materials = losses(self.scene.materials)
+            materials = self._losses()
             self._caster = self._world.caster(self.scene, scenario.rays, *materials) if rays else None
         except BaseException:
             self._world.close()
@@ -52,7 +53,19 @@ class Simulator:
         try:
             return load("sensors", section.kind)(section.config, section.id, self.scene)
         except ValueError as error:
-            raise self.scenario.problem(section.loc, str(error)) from None
+            beneath = error.place if isinstance(error, Misplaced) else ()
+            raise self.scenario.problem((*section.loc, *beneath), str(error)) from None
+
+    def _losses(self) -> tuple[Array, Array]:
+        """What the scene's materials take; for one that nobody knows the blame is on the actor that is made of it, or the world."""
+        try:
+            return losses(self.scene.materials)
+        except ValueError as error:
+            known = np.array([name in MATERIALS for name in self.scene.materials])
+            bodies = self.scene.boxes.body[~known[self.scene.boxes.material]]
+            made_of = {self.scene.bodies[body].name for body in bodies if body != WORLD}
+            loc = next((actor.loc for actor in self.scenario.actors if actor.id in made_of), self.scenario.world.loc)
+            raise self.scenario.problem(loc, str(error)) from None
 
     def _check_radios(self) -> None:
         """One hop table for the site, and every antenna under a name of its own."""

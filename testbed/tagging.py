@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
@@ -13,13 +13,16 @@ from testbed import frames
 from testbed.columns import Array
 from testbed.plugins import suggest
 from testbed.protocols import Tagged
+from testbed.radio.materials import MATERIALS
 from testbed.radio.tags import TagModel, tag_model
 from testbed.scene import WORLD, Scene
-from testbed.sensors.placement import bodies_matching, in_truth
+from testbed.sensors.placement import bodies_matching, in_truth, inside_of, rolled
+from testbed.solid import holders
 from testbed.types import Tags, Targets
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario, TagRule
+    from testbed.scenario.problems import Loc
 
 MOST_TAGS = 100_000
 
@@ -30,6 +33,7 @@ class _Tag:
     body: int  # in the scene, WORLD for none
     pose: Array
     model: TagModel
+    loc: Loc  # of its rule
 
 
 def place_tags(scenario: Scenario, scene: Scene) -> tuple[Tagged, tuple[str, ...]]:
@@ -41,7 +45,7 @@ def place_tags(scenario: Scenario, scene: Scene) -> tuple[Tagged, tuple[str, ...
     owners: dict[str, tuple] = {}
     for loc, rule, body in _rules(scenario):
         try:
-            new = _placed(rule, scene, body, len(found))
+            new = _placed(rule, loc, scene, body, len(found))
         except ValueError as error:
             raise scenario.problem(loc, str(error)) from None
         for tag in new:
@@ -56,10 +60,24 @@ def place_tags(scenario: Scenario, scene: Scene) -> tuple[Tagged, tuple[str, ...
         id=np.array([tag.id for tag in found], dtype=np.str_),
         gain=np.array([tag.model.gain_dbi for tag in found]),
         sensitivity=np.array([tag.model.sensitivity_dbm for tag in found]),
+        pattern=np.array([tag.model.pattern for tag in found], dtype=np.str_),
     )
     body = np.array([body for body, _ in ends], dtype=np.int64)
     poses = np.array([pose for _, pose in ends], dtype=np.float64).reshape(-1, 7)
+    _not_in_metal(scenario, scene, found, body, poses[:, :3])
     return Tagged(tags, body, poses), tuple("" if tag.body == WORLD else scene.bodies[tag.body].name for tag in found)
+
+
+def _not_in_metal(scenario: Scenario, scene: Scene, tags: list[_Tag], body: Array, position: Array) -> None:
+    """ScenarioError for the first tag that metal shuts in: nothing ever reads it. One inside a carton or a person's pocket may be read."""
+    metal = np.array([name in MATERIALS and MATERIALS[name].metal for name in scene.materials], dtype=bool)
+    solid = replace(scene, boxes=scene.boxes.take(metal[scene.boxes.material])) if len(scene.boxes) else scene
+    boxes = holders(solid, body, position)
+    for k in np.flatnonzero(boxes >= 0):
+        owner, material = inside_of(solid, int(boxes[k]))
+        raise scenario.problem(
+            tags[k].loc, f"the tag {tags[k].id!r} is inside {owner} ({material}): put it outside, on the surface or off it"
+        )
 
 
 def _rules(scenario: Scenario) -> list[tuple[tuple, TagRule, str | None]]:
@@ -68,7 +86,7 @@ def _rules(scenario: Scenario) -> list[tuple[tuple, TagRule, str | None]]:
     return found + [(rule.loc, rule, None) for rule in scenario.tags]
 
 
-def _placed(rule: TagRule, scene: Scene, actor: str | None, already: int) -> list[_Tag]:
+def _placed(rule: TagRule, loc: Loc, scene: Scene, actor: str | None, already: int) -> list[_Tag]:
     pattern, model = rule.on or actor, tag_model(rule.model)
     if rule.position_m is not None:
         body = WORLD
@@ -77,8 +95,8 @@ def _placed(rule: TagRule, scene: Scene, actor: str | None, already: int) -> lis
             if len(matching) > 1:
                 raise ValueError(f"on: {pattern!r} fits {len(matching)} bodies, and position_m places one tag on one")
             body = matching[0]
-        pose = np.concatenate([rule.position_m, frames.from_euler(np.deg2rad(rule.yaw_deg), -np.deg2rad(rule.tilt_deg))])
-        return [_Tag(rule.id or f"{rule.prefix or pattern or 'tag'}-{already + 1}", body, pose, model)]
+        pose = np.concatenate([rule.position_m, frames.from_euler(*np.deg2rad([rule.yaw_deg, -rule.tilt_deg, rule.roll_deg]))])
+        return [_Tag(rule.id or f"{rule.prefix or pattern or 'tag'}-{already + 1}", body, pose, model, loc)]
     if pattern is None:
         raise ValueError("on: a tag on a mount needs the body (or a pattern over bodies) that has the mount")
     spots = _spots(rule, scene, pattern)
@@ -91,7 +109,7 @@ def _placed(rule: TagRule, scene: Scene, actor: str | None, already: int) -> lis
     )
     mounts = scene.mounts
     return [
-        _Tag(id, int(mounts.body[s]), np.concatenate([mounts.position[s], mounts.quaternion[s]]), model)
+        _Tag(id, int(mounts.body[s]), np.concatenate([mounts.position[s], rolled(mounts.quaternion[s], rule.roll_deg)]), model, loc)
         for id, s in zip(ids, spots, strict=True)
     ]
 

@@ -19,11 +19,12 @@ FREQUENCY = 0.87  # GHz, where the dielectric figures are taken; σ changes by 5
 
 @dataclass(frozen=True)
 class Material:
-    """Loss in dB on entry (both faces together) and in dB per metre inside, with the place the figures come from."""
+    """Loss in dB on entry (both faces together) and in dB per metre inside, with the place the figures come from; whether it is metal."""
 
     entry_db: float
     per_metre_db: float
     source: str
+    metal: bool = False
 
 
 def _dielectric(permittivity: float, c: float, d: float) -> Material:
@@ -39,7 +40,7 @@ def _dielectric(permittivity: float, c: float, d: float) -> Material:
 
 
 MATERIALS: dict[str, Material] = {
-    "steel": Material(40.0, 0.0, "metal blocks: 35 dB and more; skin depth at 870 MHz is microns"),
+    "steel": Material(40.0, 0.0, "metal blocks: 35 dB and more; skin depth at 870 MHz is microns", metal=True),
     "rack_bay": Material(10.0, 12.0, "full rack bay of mixed goods, 20-30 dB over about 1.1 m: engineering value"),
     "carton": Material(1.0, 8.0, "packed carton, 3-6 dB over 0.3-0.6 m: engineering value"),
     "liquid_pallet": Material(15.0, 10.0, "pallet of liquid, 20-30 dB over about 1 m: engineering value"),

@@ -40,6 +40,7 @@ from testbed.protocols import Obstruction
 from testbed.radio.materials import FREQUENCY, MATERIALS
 from testbed.radio.sight import Obstacles
 from testbed.scene import Scene
+from testbed.solid import holder
 
 ELECTRIC_CONSTANT = 8.8541878188e-12  # F/m (CODATA 2022)
 LARGE = 2.0  # m²: about the first Fresnel zone on a face half-way along 8 m, π λ d / 4; a smaller face reflects less than all
@@ -172,30 +173,12 @@ def _visible(faces: Reflectors, scene: Scene) -> Array:
     corners = np.array([[(scene.bounds[i, 0], scene.bounds[j, 1], scene.bounds[k, 2])] for i, j, k in product((0, 1), repeat=3)])
     inward = np.einsum("cni,ni->cn", corners - faces.origin, faces.normal).max(axis=0, initial=-np.inf) > COVERED
     boxes, seen = scene.static_boxes(), np.zeros(len(faces), dtype=bool)
-    axes = np.moveaxis(frames.matrix(boxes.quaternion), -1, -2).reshape(-1, 9)
-    solid = np.concatenate([boxes.center, axes, boxes.half], axis=1)
     for across, along in product((0.0, -0.9, -0.45, 0.45, 0.9), repeat=2):
         open_ = np.flatnonzero(inward & ~seen)
         out = faces.origin[open_] + COVERED * faces.normal[open_]
         out += across * faces.half[open_, :1] * faces.u[open_] + along * faces.half[open_, 1:] * faces.v[open_]
-        seen[open_] = ~_inside(out, solid)
+        seen[open_] = holder(out, boxes) < 0
     return seen
-
-
-@njit(cache=True)
-def _inside(points, boxes):
-    """(P,) bool: whether each point (P, 3) is inside some box; boxes (B, 15): centre, its own three directions, half lengths."""
-    found = np.zeros(len(points), dtype=np.bool_)
-    for i in range(len(points)):
-        for k in range(len(boxes)):
-            if (
-                abs(_beyond(points, i, 0, boxes, k, 3)) < boxes[k, 12]
-                and abs(_beyond(points, i, 0, boxes, k, 6)) < boxes[k, 13]
-                and abs(_beyond(points, i, 0, boxes, k, 9)) < boxes[k, 14]
-            ):
-                found[i] = True
-                break
-    return found
 
 
 # ---------------------------------------------------------------- paths

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field as Constraint
+from pydantic import field_validator
 
 from testbed.columns import Array, Table, column
 from testbed.protocols import Caster
@@ -16,7 +17,7 @@ from testbed.radio.diffuse import rice_factor
 from testbed.radio.links import Ends
 from testbed.radio.movers import ELSEWHERE, Movers, Posed
 from testbed.radio.propagation import NEAREST
-from testbed.radio.reflection import LARGE, Bounces, Mirrored, Reflectors, bounces, images, mirrored_axis, reflectors
+from testbed.radio.reflection import LARGE, Bounces, Mirrored, Reflectors, bounces, images, mirrored_axis, permittivities, reflectors
 from testbed.radio.sight import Obstacles, Sight, sight
 from testbed.scene import Scene
 from testbed.types import Antennas, Tags
@@ -36,6 +37,13 @@ class ChannelConfig(Config):
     diffuse: bool = True
     open_k_db: Annotated[Decibels, Constraint(ge=-20, le=60)] = 10.0
     edges: bool = True  # soft line of sight; without, one straight ray
+
+    @field_validator("floor")
+    @classmethod
+    def _known(cls, value: str | None) -> str | None:
+        if value is not None:
+            permittivities((value,))
+        return value
 
 
 @dataclass(frozen=True, eq=False)

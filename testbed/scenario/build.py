@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -139,11 +140,21 @@ def _limit_runs(whole: Scenario, choices: list[overrides.Choice], review: Review
         review.note((place,), f"{runs:,} runs (trials × points × estimators), at most {MAX_RUNS:,} are made", at_key=True)
 
 
+def _tables(part: Any) -> Iterator[str]:
+    """Names of the tables that a part of a document speaks of, as in csv: pattern.csv."""
+    for key, value in part.items() if isinstance(part, dict) else enumerate(part) if isinstance(part, list) else ():
+        if key == "csv" and isinstance(value, str):
+            yield value
+        else:
+            yield from _tables(value)
+
+
 def _with_files(document: dict[str, Any], points: list[Point], source: Source) -> dict[str, Any]:
     """The document with the tables that it and its points name, so that it can be read again without them."""
     plain = {name: value for name, value in document.items() if name != "files"}
     rules = [rule for part in (document, *document.get("actors", [])) for rule in part.get("tags") or []]
     named = {rule["csv"]: source.tables[rule["csv"]] for rule in rules if rule.get("csv") is not None}
+    named.update({name: source.tables[name] for name in _tables(document.get("sensors")) if name in source.tables})
     for point in points:
         named.update(point.scenario.document.get("files", {}))
     return {**plain, "files": named} if named else plain

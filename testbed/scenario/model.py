@@ -72,7 +72,8 @@ class TagRule(Config):
     """One tag, or a rule that makes many: at a position, on mounts, so many a group of mounts, or from a table.
 
     `on` is a glob over names of bodies; without it a position is in the world frame. Exactly one of `position_m`, `mount`,
-    `per_group` and `csv` is given. A rule that makes many tags names them after `prefix`.
+    `per_group` and `csv` is given. A rule that makes many tags names them after `prefix`. A tag's face looks along its +x and its
+    dipole lies along its +y, level, unless `roll_deg` turns it about +x; 90 stands it upright.
     """
 
     id: Annotated[str, Field(pattern=TAG_ID_PATTERN, max_length=100)] | None = None
@@ -83,6 +84,7 @@ class TagRule(Config):
     position_m: Point3 | None = None
     yaw_deg: Degrees = 0.0
     tilt_deg: Degrees = 0.0
+    roll_deg: Degrees = 0.0
     model: Annotated[str, Field(min_length=1, max_length=60)] = "monza_4"
     csv: Annotated[str, Field(min_length=1, max_length=200)] | None = None
 

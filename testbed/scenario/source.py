@@ -121,9 +121,12 @@ class Review:
             self.problems.append(problem)
 
     def check(self, model: type[M], data: Any, loc: Loc, known: Iterable[str] = ()) -> M | None:
-        """The validated model, or None with its mistakes put down. `known` are keys that belong there besides the model's."""
+        """The validated model, or None with its mistakes put down. `known` are keys that belong there besides the model's.
+
+        A model's validators find tables beside the scenario by `info.context["table"](name)`, which gives the text.
+        """
         try:
-            checked = model.model_validate(data)
+            checked = model.model_validate(data, context={"table": self.source.table})
         except ValidationError as error:
             for place, message, at_key in findings(error, model, data, known):
                 self.note((*loc, *place), message, at_key)

@@ -11,7 +11,10 @@ from testbed.scenario.problems import Loc, Problem, Row
 from testbed.scenario.source import Review, Source
 from testbed.scenario.wording import extra
 
-_COLUMNS = {"id": "id", "on": "on", "x_m": "position_m", "y_m": "position_m", "z_m": "position_m", "yaw_deg": "yaw_deg", "model": "model"}
+_COLUMNS = {
+    "id": "id", "on": "on", "x_m": "position_m", "y_m": "position_m", "z_m": "position_m", "yaw_deg": "yaw_deg",
+    "roll_deg": "roll_deg", "model": "model",
+}  # fmt: skip
 _NEEDED = ("id", "x_m", "y_m", "z_m")
 _POINT = ("x_m", "y_m", "z_m")
 
@@ -112,7 +115,8 @@ def _header(header: list[str]) -> list[str]:
 def _row(row: dict[str, str], rule: TagRule, line: int, owner: str | None, review: Review) -> TagRule | None:
     """One tag of a table; empty cells mean what the rule says for all of its rows, or the default."""
     cells = {name: text.strip() for name, text in row.items() if text.strip()}
-    data: dict[str, Any] = {"model": rule.model, "on": rule.on, **{n: t for n, t in cells.items() if n not in _POINT}}
+    data: dict[str, Any] = {"model": rule.model, "on": rule.on, "roll_deg": rule.roll_deg}
+    data.update({name: text for name, text in cells.items() if name not in _POINT})
     data["position_m"] = [cells.get(name, "0") for name in _POINT]
     judge = Review(Source(""))  # a place in the row is no place in the document
     made = judge.check(TagRule, data, ())

@@ -57,7 +57,8 @@ def findings(error: ValidationError, model: type[BaseModel], data: Any, known: I
             keys = _keys(model, place[:-1]) | (set(known) if len(place) == 1 else set())
             found.append((place, extra(str(place[-1]), sorted(keys)), True))
         else:
-            found.append((place, _sentence(detail), False))
+            beneath: Loc = getattr(detail.get("ctx", {}).get("error"), "place", ())  # `testbed.quantity.Misplaced`
+            found.append(((*place, *beneath), _sentence(detail), False))
     return list(dict.fromkeys(found))
 
 
