@@ -95,13 +95,22 @@ class Answers:
 class Artefacts:
     """One reader's way of reporting, in one trial. What belongs to the hardware is the same in every trial.
 
-    antenna_key (A,), tag_key (T,) : uint64; name keys the draws
+    antenna_key (A,), tag_key (T,) : uint64; name keys the draws; ports : how many antennas one reader serves, A where left out
     """
 
     def __init__(
-        self, config: ArtefactsConfig, profile: Profile, root: int, trial: int, name: str, antenna_key: Array, tag_key: Array
+        self,
+        config: ArtefactsConfig,
+        profile: Profile,
+        root: int,
+        trial: int,
+        name: str,
+        antenna_key: Array,
+        tag_key: Array,
+        ports: int | None = None,
     ) -> None:
         self._config, self._profile, self._antenna_key, self._tag_key = config, profile, antenna_key, tag_key
+        self._ports = min(ports or len(antenna_key), len(antenna_key))
         self._draws = {w: Counter(root, trial, f"{name}.{w}") for w in ("phase", "flip", "rssi", "doppler", "late", "later")}
         self._hardware = {w: Counter(root, 0, f"{name}.{w}") for w in ("port_phase", "tag_phase", "channel_rssi")}
 
@@ -146,8 +155,7 @@ class Artefacts:
         """(N,) probability that a read's phase is off by π."""
         if self._config.flip_probability is not None:
             return np.full(len(received), self._config.flip_probability)
-        ports = min(len(self._antenna_key), 4)
-        return FLIPS_PER_PORT * (ports - 1) + FLIPS_WEAK * (received < self._profile.sensitivity_dbm + WEAK)
+        return FLIPS_PER_PORT * (min(self._ports, 4) - 1) + FLIPS_WEAK * (received < self._profile.sensitivity_dbm + WEAK)
 
 
 def phase_noise(strong: float, received: Array) -> Array:

@@ -169,8 +169,9 @@ class _Trial:
         self._profile, name = sensor.config.reader.resolved(), f"sensors.{sensor.id}"
         self._antenna_key, self._tag_key = keys_of(sensor.antennas().id), keys_of(self._tags.id)
         self._artefacts = Artefacts(
-            sensor.config.artefacts, self._profile, around.root, around.trial, name, self._antenna_key, self._tag_key
-        )
+            sensor.config.artefacts, self._profile, around.root, around.trial, name, self._antenna_key, self._tag_key,
+            sensor.config.reader.ports,
+        )  # fmt: skip
         select = sensor.config.reader.select
         self._asked = np.array([select is None or any(fnmatchcase(str(id), p) for p in select) for id in self._tags.id], dtype=bool)
         low, high = PERSISTENCE.get(self._profile.session, (0.0, 0.0))
