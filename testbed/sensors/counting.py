@@ -101,12 +101,23 @@ class Shade:
 
 
 @dataclass(frozen=True)
-class _Blocks:
+class Blocks:
     """B blocks of one antenna each: slot, antenna and when they end, s."""
 
     slot: Array
     antenna: Array
     end: Array
+
+
+def blocks_of(config: CountingConfig, sensor: str, antennas: Antennas, around: Surroundings) -> Blocks:
+    """All blocks of a trial, slot by slot."""
+    names, reader = np.unique(reader_names(around.scene, antennas, sensor), return_inverse=True)
+    slots = int(np.floor(around.duration / config.period_s + 1e-9))
+    offset = _draws(around, sensor, "offset").uniform(keys_of(names)[:, None], np.arange(slots))
+    low, high = config.offset_s
+    end = np.arange(slots) * config.period_s + low + (high - low) * offset
+    slot, antenna = (a.ravel() for a in np.meshgrid(np.arange(slots), np.arange(len(antennas)), indexing="ij"))
+    return Blocks(slot, antenna, end[reader[antenna], slot])
 
 
 def counted(
@@ -124,22 +135,17 @@ def counted(
     Shares: "blocked", mean g over the counts of target tags that are not 0 but for dead zones, and "line_of_sight", what is left.
     """
     names, reader = np.unique(reader_names(around.scene, antennas, sensor), return_inverse=True)
-    slots = int(np.floor(around.duration / config.period_s + 1e-9))
-    offset = _draws(around, sensor, "offset").uniform(keys_of(names)[:, None], np.arange(slots))
-    low, high = config.offset_s
-    end = np.arange(slots) * config.period_s + low + (high - low) * offset
-    slot, antenna = (a.ravel() for a in np.meshgrid(np.arange(slots), np.arange(len(antennas)), indexing="ij"))
-    blocks = _Blocks(slot, antenna, end[reader[antenna], slot])
+    blocks = blocks_of(config, sensor, antennas, around)
     step = max(1, CELLS // max(1, len(around.tagged.tags)))
     shade = shade if config.geometry else None
-    parts = [_counts(config, sensor, antennas, ends, around, shade, blocks, np.arange(i, min(i + step, len(slot))))
-             for i in range(0, len(slot), step)]  # fmt: skip
+    parts = [_counts(config, sensor, antennas, ends, around, shade, blocks, np.arange(i, min(i + step, len(blocks.slot))))
+             for i in range(0, len(blocks.slot), step)]  # fmt: skip
     block, tag, n, shut = (np.concatenate([p[i] for p in parts]) if parts else np.empty(0) for i in range(4))
     rounds = _rounds(config, _draws(around, sensor, "late"), keys_of(names), blocks, reader, len(names), first_antenna)
     alive = n > 0
     counts = Counts(
         round=rounds.round[block[alive].astype(np.int64)],
-        antenna=antenna[block[alive].astype(np.int64)] + first_antenna,
+        antenna=blocks.antenna[block[alive].astype(np.int64)] + first_antenna,
         tag=tag[alive],
         n=n[alive],
     )
@@ -161,29 +167,49 @@ def _counts(
     ends: Ends,
     around: Surroundings,
     shade: Shade | None,
-    blocks: _Blocks,
+    blocks: Blocks,
     which: Array,
 ) -> tuple[Array, Array, Array, Array]:
     """(block, tag, n, g) of those of the blocks `which` that are not 0 but for dead zones; n is 0 where one holds."""
-    tags = around.tagged.tags
-    everyone = np.arange(len(tags))
-    block, tag = np.repeat(which, len(tags)), np.tile(everyone, len(which))
-    antenna, t = blocks.antenna[block], blocks.end[block]
-    looking = ends.at(around.truth, antenna, t)
-    place = Ends(around.tagged.body, around.tagged.pose).at(around.truth, tag, t)
-    cosine, distance = off_boresight(looking[:, 3:], place[:, :3] - looking[:, :3])
-    draws = _draws(around, sensor, "counts")
-    keys = (keys_of(antennas.id)[antenna], blocks.slot[block], keys_of(tags.id)[tag])
-    n = logistic_beta.alive(distance, np.arccos(cosine), config.queries, draws, keys)
+    everyone = np.arange(len(around.tagged.tags))
+    block, tag = np.repeat(which, len(everyone)), np.tile(everyone, len(which))
+    model = Model(config, sensor, antennas, ends, around)
+    n = model.alive(blocks, block, tag)[0]
     found = np.flatnonzero(n)
-    block, tag, n, keys = block[found], tag[found], n[found], tuple(k[found] for k in keys)
-    g = np.zeros(len(found)) if shade is None else shade.of(around, antenna[found], tag, t[found])
-    residual = logistic_beta.residual(config.dead_zone, draws, *keys)
-    return block, tag, np.where(logistic_beta.dead(g, residual, draws, keys), 0, n), g
+    block, tag, n = block[found], tag[found], n[found]
+    g = np.zeros(len(found)) if shade is None else shade.of(around, blocks.antenna[block], tag, blocks.end[block])
+    return block, tag, np.where(model.dead(blocks, block, tag, g)[0], 0, n), g
+
+
+class Model:
+    """The published model in a trial; `block` (N,) and `tag` (N,) are places in `blocks` and among the trial's tags."""
+
+    def __init__(self, config: CountingConfig, sensor: str, antennas: Antennas, ends: Ends, around: Surroundings) -> None:
+        self._config, self._ends, self._around = config, ends, around
+        self._draws = _draws(around, sensor, "counts")
+        self._antenna_key, self._tag_key = keys_of(antennas.id), keys_of(around.tagged.tags.id)
+
+    def alive(self, blocks: Blocks, block: Array, tag: Array) -> tuple[Array, Array, Array]:
+        """Counts (N,) dead zones aside, over which distance (N,) m and at which angle (N,) rad off boresight."""
+        around, t = self._around, blocks.end[block]
+        looking = self._ends.at(around.truth, blocks.antenna[block], t)
+        place = Ends(around.tagged.body, around.tagged.pose).at(around.truth, tag, t)
+        cosine, distance = off_boresight(looking[:, 3:], place[:, :3] - looking[:, :3])
+        angle = np.arccos(cosine)
+        return logistic_beta.alive(distance, angle, self._config.queries, self._draws, self._keys(blocks, block, tag)), distance, angle
+
+    def dead(self, blocks: Blocks, block: Array, tag: Array, g: Array) -> tuple[Array, Array]:
+        """Whether a dead zone holds (N,), for the shares g (N,) that geometry closes; and the residual ones r (N,)."""
+        keys = self._keys(blocks, block, tag)
+        residual = logistic_beta.residual(self._config.dead_zone, self._draws, *keys)
+        return logistic_beta.dead(g, residual, self._draws, keys), residual
+
+    def _keys(self, blocks: Blocks, block: Array, tag: Array) -> tuple[Array, Array, Array]:
+        return self._antenna_key[blocks.antenna[block]], blocks.slot[block], self._tag_key[tag]
 
 
 def _rounds(
-    config: CountingConfig, draws: Counter, reader_keys: Array, blocks: _Blocks, reader: Array, readers: int, first_antenna: int
+    config: CountingConfig, draws: Counter, reader_keys: Array, blocks: Blocks, reader: Array, readers: int, first_antenna: int
 ) -> Rounds:
     of = reader[blocks.antenna]
     key = reader_keys[of]
