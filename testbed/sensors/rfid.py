@@ -24,7 +24,7 @@ from testbed.radio.channel import Channel, Fixed, Response
 from testbed.radio.inventory import PERSISTENCE, Interrogator, Inventory, hearing
 from testbed.radio.links import Ends
 from testbed.radio.propagation import phase_of, power_at_reader, power_at_tag
-from testbed.radio.regions import REGIONS
+from testbed.radio.regions import REGIONS, hop_table
 from testbed.radio.setting import Radio
 from testbed.rng import Counter, keys_of, mix
 from testbed.scene import WORLD, Scene
@@ -69,8 +69,8 @@ class Rfid:
         return self._antennas
 
     def frequencies(self) -> Array:
-        """(C,) Hz: the hop table of its region."""
-        return self.region.carriers
+        """(C,) Hz: its hop table."""
+        return hop_table(self.config.region, self.config.carriers_mhz)
 
     def sense(self, around: Surroundings, first_antenna: int) -> Sensed:
         """Reads, rounds and counts of a whole trial."""
@@ -97,7 +97,7 @@ class Rfid:
         """(N,) places in the hop table of antennas (N,) at times t (N,): a fresh draw each `dwell_s` of the region, for each reader."""
         draws = Counter(around.root, 0, f"sensors.{self.id}.hop")  # the table is the reader's own, the same in every trial
         bits = draws.bits(np.floor(t / self.region.dwell_s).astype(np.int64), self.reader_of(antenna))
-        return (bits % np.uint64(len(self.region.carriers))).astype(np.int64)
+        return (bits % np.uint64(len(self.frequencies()))).astype(np.int64)
 
     def reader_of(self, antenna: Array) -> Array:
         """(N,) which of the sensor's readers serves antennas (N,)."""

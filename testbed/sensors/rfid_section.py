@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from testbed.quantity import Config, DecibelMilliwatts, Decibels, Seconds
+from testbed.quantity import Config, DecibelMilliwatts, Decibels, Misplaced, Seconds
 from testbed.radio.artefacts import OFF, ArtefactsConfig
 from testbed.radio.profiles import PROFILES, Profile, profile
-from testbed.radio.regions import REGIONS
+from testbed.radio.regions import hop_table, within_limit
 from testbed.radio.setting import ChannelConfig
 from testbed.sensors.antenna_rule import AntennaRule
 from testbed.sensors.counting import CountingConfig
@@ -58,6 +58,7 @@ class RfidConfig(Config):
 
     antennas: Annotated[list[AntennaRule], Field(min_length=1, max_length=10_000)]
     region: Literal["etsi", "fcc"] = "etsi"
+    carriers_mhz: Annotated[list[float], Field(max_length=50)] | None = None  # the hop table, in its order; without, all of the region's
     power_dbm: Annotated[DecibelMilliwatts, Field(ge=-30, le=40)] = 29.0
     modulation_loss_db: Annotated[Decibels, Field(ge=0, le=40)] = 8.0
     reader: ReaderConfig = Field(default_factory=ReaderConfig)
@@ -86,12 +87,11 @@ class RfidConfig(Config):
         return CountingConfig() if isinstance(value, str) and value == "logistic_beta" else value
 
     @model_validator(mode="after")
-    def _within_the_limit(self) -> RfidConfig:
-        region = REGIONS[self.region]
+    def _as_the_region_allows(self) -> RfidConfig:
+        hop_table(self.region, self.carriers_mhz)
         for i, antenna in enumerate(self.antennas):
-            eirp = (self.power_dbm if antenna.power_dbm is None else antenna.power_dbm) + antenna.gain_dbi
-            if eirp > region.limit_dbm + 1e-9:
-                raise ValueError(
-                    f"antennas.{i} radiates {eirp:g} dBm EIRP, over the limit of {region.limit_dbm:g} dBm ({region.limit_says})"
-                )
+            try:
+                within_limit(self.region, self.power_dbm if antenna.power_dbm is None else antenna.power_dbm, antenna.gain_dbi)
+            except ValueError as error:
+                raise Misplaced(("antennas", i), str(error)) from None
         return self

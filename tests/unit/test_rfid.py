@@ -141,6 +141,22 @@ def test_who_can_answer_is_read_whenever_asked_and_who_cannot_never():
     assert (n[strong] == rounds.queries[strong]).all()
 
 
+def test_a_reader_may_use_some_carriers_in_an_order_of_its_own():
+    reads = sensed({"carriers_mhz": [867.5, 865.7]}).streams["reads"]
+    assert set(reads.channel) == {0, 1}
+    h = direct_path(1.0 + reads.t, np.array([867.5e6, 865.7e6])[reads.channel], 0.0, 0.0)
+    np.testing.assert_allclose(np.exp(1j * reads.phase), np.exp(2j * np.angle(h)), atol=1e-4)
+
+
+def test_counts_of_the_published_model_have_no_reads_beside_them():
+    config = {"detection": {"kind": "logistic_beta", "queries": 7}, "antennas": {"on": "gate"}}
+    made = sensed(config, caster=empty_hall(), truth=rolling(0.0, 2.0))
+    assert len(made.streams["reads"]) == 0
+    assert (made.streams["rounds"].queries == 7).all()
+    assert made.streams["counts"].n.sum() > 0
+    assert not sensed({"detection": "link"}, caster=empty_hall()).streams["counts"].equals(made.streams["counts"])
+
+
 def test_reads_stop_where_the_wall_begins():
     opaque = sensed(caster=Wall(loss=40.0, x=3.0))
     assert opaque.streams["reads"].t.max() < 2.0  # the tag passes x = 3 m at t = 2 s
@@ -321,6 +337,7 @@ def test_an_antenna_that_cannot_be_placed_is_named(antennas, message):
         ({"antennas": {"on": "gate"}, "reader": "r42"}, "did you mean r420"),
         ({"antennas": {"on": "gate"}, "reader": {"session": 4}}, "session"),
         ({"antennas": {"on": "gate"}, "artefacts": "of"}, "artefacts"),
+        ({"antennas": {"on": "gate"}, "carriers_mhz": [866.3, 902.75]}, "902.75 MHz is no carrier of the region 'etsi'"),
     ],
 )
 def test_a_reader_that_is_not_allowed_is_refused(config, message):
