@@ -23,14 +23,6 @@ def exponent(beamwidth: ArrayLike) -> Array:
     return np.log(0.5) / np.log(np.cos(np.asarray(beamwidth, dtype=np.float64) / 2))
 
 
-def pattern_db(cosine: ArrayLike, n: ArrayLike, front_to_back: ArrayLike) -> Array:
-    """Gain relative to boresight, dB, for the cosine of the angle off boresight; never below -front_to_back (dB)."""
-    cosine = np.asarray(cosine, dtype=np.float64)
-    with np.errstate(divide="ignore"):
-        lobe = 10.0 * np.asarray(n) * np.log10(np.maximum(cosine, 0.0))
-    return np.maximum(lobe, -np.asarray(front_to_back, dtype=np.float64))
-
-
 def tabulated(angle: ArrayLike, gain: ArrayLike, beyond: float | None = None) -> Array:
     """(181,) dB at whole degrees from a table: `angle` (K,) degrees off boresight, `gain` (K,) dB relative to boresight.
 

@@ -9,12 +9,17 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from testbed import frames
-from testbed.radio.antenna import DEGREES, exponent, half_power_width, pattern_db, tabulated
+from testbed.radio.antenna import DEGREES, exponent, half_power_width, tabulated
 from testbed.radio.coupling import NULL_DB, Coupling, dipole_axis, polarisation_loss
 from testbed.types import Antennas, Tags
 
 HALF = 10 * np.log10(0.5)
 angles = st.floats(-np.pi, np.pi)
+
+
+def pattern_db(cosine, n, floor):
+    """cos^n in dB down to a floor, written out again."""
+    return np.maximum(10 * n * np.log10(np.maximum(cosine, 1e-30)), -floor)
 
 
 def antennas(n=1, **changes):

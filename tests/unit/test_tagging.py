@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from testbed import frames
+from testbed.radio.coupling import dipole_axis
 from testbed.scenario import ScenarioError, from_dict
 from testbed.simulate import Simulator
 
@@ -41,6 +43,47 @@ def test_a_tag_on_a_moving_actor_is_in_its_frame_and_on_a_parked_one_in_the_worl
     parked = made(actors=[PERSON, {**PARKED, "tags": [{"id": "p", "position_m": [0.5, 0, 1]}]}], tags=[]).tagged
     assert parked.body.tolist() == [-1]
     np.testing.assert_allclose(parked.pose[0, :3], [3, 3.5, 1], atol=1e-12)  # turned by 90°
+
+
+def test_a_tag_is_level_along_its_surface_unless_it_is_rolled():
+    rules = [
+        {"id": "free", "position_m": [2, 2, 1], "yaw_deg": 30, "tilt_deg": 20},
+        {"id": "upright", "position_m": [2, 2, 1], "yaw_deg": 30, "roll_deg": 90},
+        {"on": "bert", "mount": "*", "prefix": "m"},
+        {"on": "bert", "mount": "*", "prefix": "r", "roll_deg": 90},
+    ]
+    tagged = made(tags=rules).tagged
+    normal = frames.rotate(tagged.pose[:, 3:], np.array([1.0, 0, 0]))
+    dipole = dict(zip(tagged.tags.id.tolist(), dipole_axis(tagged.pose[:, 3:]), strict=True))
+    np.testing.assert_allclose(dipole["free"], [-0.5, np.sqrt(0.75), 0], atol=1e-12)
+    np.testing.assert_allclose(dipole["upright"], [0, 0, 1], atol=1e-12)
+    half = (len(tagged.tags) - 2) // 2
+    assert half > 1
+    for i in range(1, half + 1):
+        assert dipole[f"m-{i}"][2] == pytest.approx(0, abs=1e-12)
+        assert dipole[f"m-{i}"] @ dipole[f"r-{i}"] == pytest.approx(0, abs=1e-12)
+    np.testing.assert_allclose(normal[2 : 2 + half], normal[2 + half :], atol=1e-12)
+
+
+def test_the_pattern_of_a_tag_is_that_of_its_model():
+    tags = [{"id": m, "position_m": [2, 2, 1], "model": m} for m in ("monza_4", "monza_r6", "isotropic")]
+    assert made(tags=tags).tagged.tags.pattern.tolist() == ["dipole", "dipole", "isotropic"]
+
+
+def test_an_antenna_is_rolled_about_its_boresight_wherever_it_is():
+    rules = [{"on": "post1", "mount": "*high", "roll_deg": 90, "polarisation": "linear"}, {"on": "post2", "mount": "*high"}]
+    rules += [{"position_m": [1, 1, 2], "aim_m": [3, 2, 2], "roll_deg": 90}, {"position_m": [1, 1, 2], "aim_m": [3, 2, 2]}]
+    simulator = made(sensors=[{"id": "posts", "kind": "rfid", "antennas": rules}])
+    antennas, mounts = simulator.sensors[0].antennas(), simulator.scene.mounts
+    assert antennas.polarisation.tolist() == ["linear", "circular", "circular", "circular"]
+    ahead, up = (frames.rotate(antennas.quaternion, np.array(axis)) for axis in ([1.0, 0, 0], [0.0, 0, 1]))
+    own = frames.rotate(mounts.quaternion[mounts.name == "post1.high"], np.array([1.0, 0, 0]))
+    body = simulator.scene.bodies[int(mounts.body[mounts.name == "post1.high"][0])]
+    np.testing.assert_allclose(ahead[0], frames.rotate(body.pose[3:], own)[0], atol=1e-12)
+    np.testing.assert_allclose(ahead[2], ahead[3], atol=1e-12)
+    assert abs(up[0, 2]) == pytest.approx(0, abs=1e-12)
+    assert abs(up[2, 2]) == pytest.approx(0, abs=1e-12)
+    assert up[3, 2] == pytest.approx(1)
 
 
 def test_a_rule_makes_many_under_names_of_their_own():
