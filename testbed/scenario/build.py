@@ -110,11 +110,11 @@ def _section(group: str, review: Review, raw: Any, loc: Loc) -> Any:
 
 
 def _metrics(raw: dict[str, Any], review: Review) -> list[Any]:
-    """The metrics asked for; every one that is registered, with its defaults, where none are named."""
+    """The metrics asked for; where none are named every registered one, with its defaults, but those that speak on request alone."""
     if "metrics" in raw:
         return sections.every(raw["metrics"], ("metrics",), review, partial(_section, "metrics", review))
     found = [sections.one("metrics", {"kind": name}, ("metrics",), review) for name in plugins.names("metrics")]
-    return [section for section in found if section is not None]
+    return [section for section in found if section is not None and not getattr(plugins.load("metrics", section.kind), "on_request", False)]
 
 
 def _ids(raw: Any) -> list[str]:
