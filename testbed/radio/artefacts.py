@@ -32,6 +32,7 @@ from testbed.radio.profiles import Profile
 from testbed.rng import Counter
 from testbed.types import Reads
 
+# engineering values, so that the figures above come out over the range of levels that logs have, -45 to -80 dBm
 STRONG = -55.0  # dBm at which the configured noise holds
 NOISE_SLOPE = 40.0  # dB for a factor of ten: the root of what thermal noise alone would have, for part of it is the oscillator's
 LEAST_NOISE = 0.25  # of the configured noise, however strong the signal

@@ -8,6 +8,8 @@ come from `sight`, K and D from `diffuse`, reflections from `reflection`; here t
 What costs time is asked for as seldom as can be. Pairs out of reach are never looked at. What stands still between an antenna and
 a tag that stand still is found once for all trials (`Fixed`), and its h once a trial; it is looked at again only while a
 moving body is near. What can't be heard whatever the fading is not searched for ways round (`testbed.radio.setting`).
+
+Left out: tags that detune or shade each other, motion within one read, other readers' waves, and what each part says it leaves out.
 """
 
 from __future__ import annotations

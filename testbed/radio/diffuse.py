@@ -21,7 +21,8 @@ A moving body takes part: of the power of D a share w² comes by way of it and d
 STIR on the straight line to exactly 0 where the way over the body is REACH longer. Nothing moves: D is constant.
 
 Left out: the strength of scatterers near either end (a field of equal waves has no clusters), change of direction with
-distance, the antenna's pattern towards scatterers (the diffuse power is a share of the path's own), and polarisation.
+distance, polarisation, and the patterns of antenna and tag towards scatterers: the diffuse power is a share of the path's own,
+so a tag that points at the antenna has as little of it as of the path.
 """
 
 from __future__ import annotations

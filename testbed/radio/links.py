@@ -1,4 +1,7 @@
-"""The ends of links between antennas and tags: what each is mounted on, and where that is at a time."""
+"""The ends of links between antennas and tags: what each is mounted on, and where that is at a time.
+
+A mount is rigid: cables that pull and tags that flap are left out.
+"""
 
 from __future__ import annotations
 

@@ -9,7 +9,8 @@ L. Geng, M. F. Bugallo, P. M. Djurić, "Tracking with RFID asynchronous measurem
 
 The values of v are assumed: the paper holds none. g in [0, 1] is how much of the way geometry closes (one less the soft line of
 sight); r is what is left over, redrawn per `scope`. The paper is g = 0 and scope "count". This source of counts stands for
-itself: obstacles that set g don't lower m as well, and nothing of the link budget enters.
+itself: obstacles that set g don't lower m as well, and nothing of the link budget enters. So left out are power, carrier, the
+antenna's pattern and polarisation, the tag's model and how it hangs, and other tags that want the reader's time.
 """
 
 from __future__ import annotations

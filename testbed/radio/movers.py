@@ -2,6 +2,8 @@
 
 Most links have nothing moving near them. A ball round each body says so before any ray is cast, and before a pose is
 interpolated exactly: for the balls a straight line between the truth's samples does, widened by what that may be wrong.
+
+Left out: bodies that bend. A person's limbs and a forklift's mast move with the whole.
 """
 
 from __future__ import annotations

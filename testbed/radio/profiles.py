@@ -3,6 +3,9 @@
 Slot times follow from the link's parameters (EPC Radio-Frequency Identity Protocols, Generation-2 UHF RFID, release 2.1, section
 6.3.1: preambles, T1 to T3, commands). What a data sheet doesn't say, the time that a reader takes between rounds and to change
 ports, is chosen so that the rates come out that real logs show; the source is beside each.
+
+Left out: firmware that changes its timing with what it hears, the host's share (reports that queue up), and a reader's own choice of
+link (auto-set modes).
 """
 
 from __future__ import annotations

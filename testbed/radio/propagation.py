@@ -2,11 +2,14 @@
 
 For a path of length d at carrier f, one way (Friis, "A note on a simple transmission formula", Proc. IRE 34, 1946):
 
-    h = (λ / 4πd) · √(G_a(θ) · G_t · χ) · 10^(-A/20) · exp(-j 2π f d / c)
+    h = (λ / 4πd) · √(G_a(θ) · G_t(α) · χ) · 10^(-A/20) · exp(-j 2π f d / c)
 
-with χ the share that a linear tag takes of a circularly polarised wave (1/2) and A the loss in obstacles, dB. All gains
+with χ the share that the tag takes of the wave's polarisation (`testbed.radio.coupling`) and A the loss in obstacles, dB. All gains
 are inside h, so the round trip is |h|⁴ and its phase 2·arg h: forward margin, RSSI and phase come from one number and can't
 disagree. This is the direct path; other paths add to h.
+
+Left out: the near field (within some wavelengths a patch and a dipole couple in other ways than Friis says, and nearer than `NEAREST` the
+level is held), the phase of the antennas' own patterns, and readers with one antenna to send and another to listen.
 """
 
 from __future__ import annotations

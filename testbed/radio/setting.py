@@ -1,4 +1,9 @@
-"""What the links of one reader have in common in every trial: antennas, tags, hall, and how its channel is to be modelled."""
+"""What the links of one reader have in common in every trial: antennas, tags, hall, and how its channel is to be modelled.
+
+Who is out of reach, or can't be heard whatever the fading, is left out before anything is cast. The bounds take every gain at its
+best, one reflection as strong as the direct path, and the diffuse part at `RARE`; a tag that several reflections lift together
+from beyond that is missed.
+"""
 
 from __future__ import annotations
 
