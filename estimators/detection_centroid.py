@@ -40,21 +40,21 @@ class DetectionCentroid:
     consumes: ClassVar[frozenset[str]] = frozenset({"rounds"})
 
     def __init__(self, config: DetectionCentroidConfig, site: Site, rng: RowRandom) -> None:
-        self._config, self._readers, self._antennas = config, Readers(site, "detection_centroid"), len(site.antennas)
+        self._config, self._readers = config, Readers(site, "detection_centroid")
         self._places = places_of(self._readers, site, config.reader_place)
 
     def start(self, prior: Prior) -> None:
         self._now, self._heard = np.array(prior.t), np.array(prior.t)
         self._mean, self._covariance = np.array(prior.mean[:, :3]), np.array(prior.covariance[:, :3, :3])
         self._slot = np.full(prior.rows, np.iinfo(np.int64).min)
-        self._reports = Reports(prior.rows, self._antennas, "detection_centroid")
+        self._reports = Reports(prior.rows, self._readers, "detection_centroid", heard=False)
         self._found = np.zeros((prior.rows, len(self._places)), dtype=bool)
 
     def predict(self, t: Array) -> None:
         self._now = np.array(t)
 
     def update(self, event: Event) -> UpdateInfo:
-        used = self._reports.new(event.row, event.data)
+        used, _ = self._reports.sort(event.row, event.data)
         read = used & (event.data.n > 0)
         row, t = event.row[read], event.data.t[read]
         self._heard[row] = t

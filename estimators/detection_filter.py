@@ -14,11 +14,12 @@ from pydantic import Field
 from estimators.belief import StatusConfig, status_of
 from estimators.detection_cloud import FLOOR, Cloud, View
 from estimators.detection_model import DetectionModel, DetectionModelConfig
-from estimators.detection_reports import Held, Readers, Reports
+from estimators.detection_reports import Found, Readers, Reports
 from testbed.quantity import Seconds
 from testbed.types import POSITION_VELOCITY, Array, Estimate, Event, Prior, RowRandom, Site, UpdateInfo
 
 SILENT = 1e-3  # how far the probability of silence may be below 1 for it to be no news
+FASTEST = 20.0  # m/s: nothing in a hall goes faster
 
 
 class DetectionFilterConfig(DetectionModelConfig, StatusConfig):
@@ -56,8 +57,7 @@ class DetectionFilter:
         self._prior = prior
         self._cloud = Cloud(prior, self._config.particles, self._config.acceleration_density_m2ps3, self._rng)
         self._view = View(self._antennas, prior.mean[:, 2])
-        self._reports = Reports(prior.rows, len(self._antennas), self._name)
-        self._held = Held(prior.rows, self._readers)
+        self._reports = Reports(prior.rows, self._readers, self._name, self._config.silence == "heard")
 
     def predict(self, t: Array) -> None:
         self._now = np.array(t)
@@ -67,38 +67,39 @@ class DetectionFilter:
         return t
 
     def update(self, event: Event) -> UpdateInfo:
-        used = self._reports.new(event.row, event.data)
-        row, data = event.row[used], event.data.take(used)
-        read = data.n > 0
-        self._heard[row[read]] = data.t[read]
-        if self._config.silence == "heard":
-            found = self._held.sort(row, data)
-        else:
-            found = row, data.antenna.astype(np.int64), data.n.astype(np.int64), data.t, data.queries.astype(np.int64)
-            news = self._news(*found)
-            found = tuple(part[news] for part in found)
-        if len(found[0]):
-            self._take(*found)
+        used, found = self._reports.sort(event.row, event.data)
+        read = np.flatnonzero(event.data.n > 0)
+        if len(read):
+            self._heard[event.row[read]] = event.data.t[read]
+        if self._config.silence == "all" and len(found.row):
+            news = self._news(found)
+            found = Found(*(part[news] for part in found))
+        if len(found.row):
+            self._take(found)
         return UpdateInfo(used)
 
-    def _news(self, row: Array, antenna: Array, n: Array, t: Array, queries: Array) -> Array:
-        """(E,) bool: not a silence that no particle finds surprising, wherever it may be by then."""
-        distance = self._cloud.nearest(row, self._view, antenna)
-        ahead = np.maximum(self.stamp(t) - self._cloud.at[row], 0.0)
-        distance = np.maximum(distance - ahead * 20.0, 0.0)  # m/s: faster goes nothing here
-        return (n > 0) | (queries * self._model.mean(distance, 0.0) > SILENT)
+    def _news(self, found: Found) -> Array:
+        """(F,) bool: not a silence that no particle finds surprising, wherever it may be by then."""
+        distance = self._cloud.nearest(found.row, self._view, found.antenna)
+        ahead = np.maximum(self.stamp(found.t) - self._cloud.at[found.row], 0.0)
+        distance = np.maximum(distance - ahead * FASTEST, 0.0)
+        return (found.n > 0) | (found.queries * self._model.mean(distance, 0.0) > SILENT)
 
-    def _take(self, row: Array, antenna: Array, n: Array, t: Array, queries: Array) -> None:
+    def _take(self, found: Found) -> None:
         """Counts of one moment a row (their t may differ by the turns of a reader's antennas)."""
-        rows, place = np.unique(row, return_inverse=True)
-        latest = np.full(len(rows), -np.inf)
-        stamped = self.stamp(t)
-        np.maximum.at(latest, place, stamped)
-        self._cloud.advance(rows, latest)
-        lag = stamped - self._cloud.at[row]
-        for many in np.unique(queries):
-            of = queries == many
-            self._cloud.weigh(row[of], antenna[of], n[of], lag[of], self._model.table(int(many)), self._view)
+        stamped = self.stamp(found.t)
+        latest = np.array(self._cloud.at)
+        np.maximum.at(latest, found.row, stamped)
+        rows = np.flatnonzero(latest > self._cloud.at)
+        self._cloud.advance(rows, latest[rows])
+        lag = stamped - self._cloud.at[found.row]
+        many = found.queries[0]
+        if (found.queries == many).all():
+            self._cloud.weigh(found.row, found.antenna, found.n, lag, self._model.table(int(many)), self._view)
+            return
+        for many in np.unique(found.queries):
+            of = found.queries == many
+            self._cloud.weigh(found.row[of], found.antenna[of], found.n[of], lag[of], self._model.table(int(many)), self._view)
 
     def estimate(self) -> Estimate:
         floor, spread = self._cloud.moments(self._now)

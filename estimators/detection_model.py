@@ -59,6 +59,7 @@ class DetectionModel:
 
     def __init__(self, config: DetectionModelConfig) -> None:
         self.config, self.dead = config, config.dead
+        self._document = config.model_dump_json(include=set(DetectionModelConfig.model_fields))
 
     def mean(self, distance: ArrayLike, degrees: ArrayLike) -> Array:
         """E p (Eq. 3), broadcast."""
@@ -99,7 +100,7 @@ class DetectionModel:
 
     def table(self, queries: int) -> Array:
         """(queries + 1, LINES_D, LINES_THETA) float32: log P(n) over d in [0, FAR] and θ in [0, 180] degrees."""
-        return _table(self.config.model_dump_json(include=set(DetectionModelConfig.model_fields)), queries)
+        return _table(self._document, queries)
 
 
 @cache

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 
 from estimators.rssi_model import fixed_antennas
 from testbed.types import Array, Site
+
+NEVER = np.iinfo(np.int64).min  # a round that there is not
 
 
 class Readers:
@@ -30,68 +33,78 @@ class Readers:
             self.antennas[reader, : each[reader]] = np.flatnonzero(self.of == reader)
 
 
-class Reports:
-    """Counts as they come in for B rows: refuses what can't be, and tells what is told twice.
+class Found(NamedTuple):
+    """Counts that say something, F of them: of which row and antenna, complete at which time (s), out of how many queries."""
 
+    row: Array
+    antenna: Array
+    n: Array
+    t: Array
+    queries: Array
+
+
+class Reports:
+    """Counts as they come in for B rows: refuses what can't be, tells what is told twice, and whose silence counts.
+
+    With `heard` a silence counts only if its reader hears the tag in the same round (which may turn out later, at another antenna
+    of it); without, every silence counts.
     ValueError, naming the row, for a block without queries, more reads than queries, and an antenna that the site doesn't have.
     """
 
-    def __init__(self, rows: int, antennas: int, method: str) -> None:
-        self._method, self._last = method, np.full((rows, antennas), np.iinfo(np.int64).min)
-
-    def new(self, row: Array, data: Any) -> Array:
-        """(E,) bool: entries that have not been told before; a reader's rounds count upwards, save those that are late."""
-        self._check(row, data)
-        known = self._last[row, data.antenna] == data.round
-        self._last[row, data.antenna] = data.round
-        return ~known
-
-    def _check(self, row: Array, data: Any) -> None:
-        for wrong, says in (
-            ((data.antenna < 0) | (data.antenna >= self._last.shape[1]), "is of an antenna that the site doesn't have"),
-            (data.queries < 1, "asked nothing: a block has at least one query"),
-            ((data.n < 0) | (data.n > data.queries), "has a count that is not between 0 and its queries"),
-        ):
-            if wrong.any():
-                i = int(np.flatnonzero(wrong)[0])
-                what = f"round {data.round[i]}, antenna {data.antenna[i]}: {data.n[i]} reads of {data.queries[i]} queries"
-                raise ValueError(f"{self._method}: row {row[i]}, {what}: it {says}")
-
-
-class Held:
-    """Silences that count only if their reader hears the tag in the same round: kept until one of its antennas does.
-
-    The round of a reader is over when a round of another number of it begins.
-    """
-
-    def __init__(self, rows: int, readers: Readers) -> None:
-        self._readers = readers
+    def __init__(self, rows: int, readers: Readers, method: str, heard: bool) -> None:
+        self._method, self._readers, self._only_heard = method, readers, heard
         antennas = len(readers.of)
-        self._round = np.full((rows, antennas), -1, dtype=np.int64)  # of the silence that is held, -1 for none
-        self._t = np.zeros((rows, antennas))
-        self._queries = np.zeros((rows, antennas), dtype=np.int64)
-        self._heard = np.full((rows, len(readers.names)), -1, dtype=np.int64)  # the round in which a reader heard the tag last
+        self._last = np.full((rows, antennas), NEVER, dtype=np.int64)  # the last round that was told of
+        self._waiting = np.full((rows, antennas), NEVER, dtype=np.int64)  # the round of a silence that waits for its reader
+        self._t, self._queries = np.zeros((rows, antennas)), np.zeros((rows, antennas), dtype=np.int64)
+        self._heard = np.full((rows, len(readers.names)), NEVER, dtype=np.int64)  # the last round in which a reader heard the tag
 
-    def sort(self, row: Array, data: Any) -> tuple[Array, Array, Array, Array, Array]:
-        """(row, antenna, n, t, queries) of all that counts now: of the entries, and of silences held before them."""
-        reader, antenna, round_ = self._readers.of[data.antenna], np.asarray(data.antenna, dtype=np.int64), data.round
-        read = data.n > 0
-        self._heard[row[read], reader[read]] = round_[read]
-        counts = self._heard[row, reader] == round_
-        quiet = ~counts
-        self._round[row[quiet], antenna[quiet]] = round_[quiet]
-        self._t[row[quiet], antenna[quiet]] = data.t[quiet]
-        self._queries[row[quiet], antenna[quiet]] = data.queries[quiet]
-        entry, place = np.nonzero(read[:, None] & (self._readers.antennas[reader] >= 0))
-        a, b = self._readers.antennas[reader[entry], place], row[entry]
-        waiting = (self._round[b, a] == round_[entry]) & (self._round[b, a] >= 0)
-        a, b = a[waiting], b[waiting]
-        self._round[b, a] = -1
-        none = np.zeros(len(a), dtype=np.int64)
-        return (
-            np.concatenate([row[counts], b]),
-            np.concatenate([antenna[counts], a]),
-            np.concatenate([np.asarray(data.n, dtype=np.int64)[counts], none]),
-            np.concatenate([data.t[counts], self._t[b, a]]),
-            np.concatenate([np.asarray(data.queries, dtype=np.int64)[counts], self._queries[b, a]]),
-        )
+    def sort(self, row: Array, data: Any) -> tuple[Array, Found]:
+        """Whether entries (E,) are new, and all that counts now: of them, and of silences that have waited."""
+        used = np.empty(len(row), dtype=np.bool_)
+        wrong, *found = _sort(
+            row, data.antenna, data.round, data.n, data.t, data.queries, self._readers.of, self._readers.antennas, self._only_heard,
+            self._last, self._waiting, self._t, self._queries, self._heard, used,
+        )  # fmt: skip
+        if wrong >= 0:
+            self._refuse(row, data, wrong)
+        return used, Found(*found)
+
+    def _refuse(self, row: Array, data: Any, i: int) -> None:
+        what = f"round {data.round[i]}, antenna {data.antenna[i]}: {data.n[i]} reads of {data.queries[i]} queries"
+        if not 0 <= data.antenna[i] < len(self._readers.of):
+            says = "it is of an antenna that the site doesn't have"
+        elif data.queries[i] < 1:
+            says = "a block has at least one query"
+        else:
+            says = "a count lies between 0 and its queries"
+        raise ValueError(f"{self._method}: row {row[i]}, {what}: {says}")
+
+
+@njit(cache=True)
+def _sort(row, antenna, round_, n, t, queries, reader_of, antennas_of, only_heard, last, waiting, held_t, held_queries, heard, used):
+    size = len(row) * (1 + antennas_of.shape[1])
+    rows, antennas, counts = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
+    times, asked, f = np.empty(size), np.empty(size, dtype=np.int64), 0
+    for e in range(len(row)):
+        b, a = row[e], antenna[e]
+        if a < 0 or a >= len(reader_of) or queries[e] < 1 or n[e] < 0 or n[e] > queries[e]:
+            return e, rows[:0], antennas[:0], counts[:0], times[:0], asked[:0]
+        used[e] = last[b, a] != round_[e]
+        if not used[e]:
+            continue
+        last[b, a] = round_[e]
+        r = reader_of[a]
+        if n[e] > 0:
+            heard[b, r] = round_[e]
+        if only_heard and heard[b, r] != round_[e]:
+            waiting[b, a], held_t[b, a], held_queries[b, a] = round_[e], t[e], queries[e]
+            continue
+        rows[f], antennas[f], counts[f], times[f], asked[f] = b, a, n[e], t[e], queries[e]
+        f += 1
+        for other in antennas_of[r]:
+            if n[e] > 0 and other >= 0 and waiting[b, other] == round_[e]:
+                waiting[b, other] = NEVER
+                rows[f], antennas[f], counts[f], times[f], asked[f] = b, other, 0, held_t[b, other], held_queries[b, other]
+                f += 1
+    return -1, rows[:f], antennas[:f], counts[:f], times[:f], asked[:f]
