@@ -299,7 +299,7 @@ class _Trial:
         sets = np.unpackbits(packed, axis=1, count=len(self._asked)).astype(bool)
         asked = np.zeros(len(rounds), dtype=np.int64)
         asked[visits] = which.ravel() + 1
-        return rounds.with_(asked=asked), np.concatenate([self._asked[None, :], sets.reshape(-1, len(self._asked))])
+        return rounds.with_(asked=asked), np.concatenate([self._asked[None, :], sets.reshape(len(sets), len(self._asked))])
 
 
 def _repeats(visit: Array, tag: Array) -> Array:
