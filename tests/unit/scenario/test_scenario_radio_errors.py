@@ -112,7 +112,10 @@ def test_a_tag_inside_the_metal_that_carries_it():
         ("id: shelf,", "id: shelf, model: monza_5,", "dock.yaml:16:5 tags.0: unknown tag model 'monza_5', did you mean monza_4?"),
         ("id: shelf,", "id: lid,", "dock.yaml:7:97 actors.0.tags.0: the id 'lid' is given twice, first at dock.yaml:16:5 tags.0"),
         ("    kind: rfid\n", "    kind: rfid\n    channel: {floor: lino}\n", "dock.yaml:11:22 sensors.0.channel.floor: nobody knows"),
-        ("    kind: rfid\n", "    kind: rfid\n    power_dbm: 31\n", "dBm EIRP, over the limit of 35.15 dBm (ETSI EN 302 208"),
+        ("    kind: rfid\n", "    kind: rfid\n    power_dbm: 31\n",
+         "dock.yaml:13:9 sensors.0.antennas.0: it radiates 37 dBm EIRP (31 dBm and 6 dBi), over the limit of 35.15 dBm (ETSI EN 302 208"),
+        ("    kind: rfid\n", "    kind: rfid\n    carriers_mhz: [865.7, 902.75]\n",
+         "dock.yaml:11:27 sensors.0.carriers_mhz.1: 902.75 MHz is no carrier of the region 'etsi': the nearest is 867.5"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_told_with_its_place(old, new, message):
