@@ -250,6 +250,36 @@ def replay(
 
 
 @app.command()
+def explain(
+    source: Annotated[
+        str, typer.Argument(metavar="RUN", help="Output folder of a run; or a scenario file, or the name of one that ships.")
+    ],
+    tag: Annotated[str, typer.Option(help="Id of the tag.")],
+    antenna: Annotated[str, typer.Option(help="Id of the antenna.")],
+    time: Annotated[float, typer.Option("--time", metavar="S", help="When, s from the start of the trial.")],
+    trial: Annotated[int, typer.Option(help="Which trial, from 0.")] = 0,
+    point: Annotated[int, typer.Option(help="Which point of the sweep, from 0.")] = 0,
+    sets: Sets = None,
+    as_json: Json = False,
+) -> None:
+    """Say why a tag was read at a time of a trial, or why not: the link by path, what is in the way, what the reader was doing."""
+    from testbed import explain as why
+    from testbed import explain_words as words
+
+    scenario, changed = why.of_run(source, sets or ())
+    try:
+        found = why.explain(scenario, tag=tag, antenna=antenna, t=time, point=point, trial=trial)
+    except why.NotThere as error:
+        raise typer.Exit(_complain(str(error))) from None
+    if changed:
+        print(f"note: {changed}; the trial may differ from the run's own", file=sys.stderr)  # noqa: T201
+    if as_json:
+        _print_json({"verdict": words.verdict(found), **found.document()})
+    else:
+        words.show(_out(), found)
+
+
+@app.command()
 def report(
     folder: Annotated[Path, typer.Argument(help="Output folder of a run.")],
     show: Annotated[str, typer.Option("--open", help="Show it in a browser: yes, no, or auto for yes on a terminal.")] = "auto",

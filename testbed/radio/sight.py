@@ -187,7 +187,7 @@ class Bundle:
 
     def _rim(self, lines: Array) -> tuple[Array, Array, Array, Array]:
         """dB along the rim (L, directions); which (place in `lines`, direction) differ from the line; where along it they do, m."""
-        points = self._rim_points(lines)
+        points = self.rim_points(lines)
         per, own = points.shape[2] - 1, self.loss[lines]
         line = np.repeat(lines, DIRECTIONS)
         count, rim = self._legs(self._link[line], points.reshape(len(line), per + 1, 3))
@@ -212,7 +212,7 @@ class Bundle:
         twice = self._obstacles.bent(link[ray], corners[ray, bend + 1], corners[ray, -1] - corners[ray, 0])
         return found.count, np.minimum(loss - np.bincount(ray, twice, len(loss)), OPAQUE)
 
-    def _rim_points(self, lines: Array) -> Array:
+    def rim_points(self, lines: Array) -> Array:
         """(L, directions, corners, 3): rays along the rim of the zone, ends included."""
         distance = self._distance[lines, None]
         along = distance * VERTICES
