@@ -142,12 +142,13 @@ class Diary:
     """What a sensor's readers did in a trial. Antennas and readers are numbered within the sensor.
 
     rounds : its visits, in the order that `slots.visit` counts; sets (S, tags) bool : whom they asked (`rounds.asked`), the first of
-    them all whom Select lets through
+    them all whom Select lets through; collisions : of each visit
     """
 
     rounds: Rounds
     sets: Array
     slots: Slots
+    collisions: Array
 
 
 @dataclass(frozen=True)
@@ -158,6 +159,7 @@ class _Block:
     slots: Slots
     rounds: Rounds
     silenced: Array  # (S, 2): index of a visit, tag
+    collisions: Array  # (visits,)
 
 
 class _Trial:
@@ -192,7 +194,7 @@ class _Trial:
         reads = Reads.concatenate([b.reads for b in blocks])
         diary = self._written(blocks)
         rounds, sets, visit = diary.rounds, diary.sets, diary.slots.visit[diary.slots.read]
-        order = np.argsort(reads.t, kind="stable")
+        order = np.argsort(reads.t_arrival, kind="stable")
         counts = _counted(rounds, reads, visit)
         figures = stream_figures(reads, self._channel.radio)
         tags = self._around.target_tags
@@ -206,7 +208,8 @@ class _Trial:
 
     def _written(self, blocks: list[_Block]) -> Diary:
         rounds, sets = self._asked_in(Rounds.concatenate([b.rounds for b in blocks]), [b.silenced for b in blocks])
-        return Diary(rounds, sets, Slots.concatenate([b.slots for b in blocks]))
+        collisions = np.concatenate([np.empty(0, dtype=np.int64), *(b.collisions for b in blocks)])
+        return Diary(rounds, sets, Slots.concatenate([b.slots for b in blocks]), collisions)
 
     # ------------------------------------------------------------ blocks of time
 
@@ -238,7 +241,8 @@ class _Trial:
             done.append((made, ports, number))
             number += len(made.antenna)
         reads, slots = self._reads(done)
-        return _Block(reads, slots, self._rounds(done), np.concatenate([m.silenced + np.array([n, 0]) for m, _, n in done]))
+        silenced = np.concatenate([m.silenced + np.array([n, 0]) for m, _, n in done])
+        return _Block(reads, slots, self._rounds(done), silenced, np.concatenate([m.collisions for m, _, _ in done]))
 
     def _hearing(self, begin: int, end: int) -> tuple[Array, Array, Array]:
         """(antenna, step, tag) of who may answer whom in these steps, of the ports that the readers may come by."""

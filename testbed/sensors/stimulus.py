@@ -17,7 +17,7 @@ import numpy as np
 
 from testbed.columns import Array
 from testbed.radio.antenna import off_boresight
-from testbed.radio.propagation import POLARISATION_DB
+from testbed.radio.coupling import polarisation_loss
 from testbed.radio.setting import Radio
 from testbed.radio.sight import Obstacles
 from testbed.scene import WORLD, Truth
@@ -37,7 +37,7 @@ NOTHING: Share = (float("nan"), 0.0)
 def line_of_sight(radio: Radio, truth: Truth, duration: float, tags: Array) -> Share:
     """The share of clear straight lines, at SIGHT_HZ, of those no longer than free space lets a tag wake over on boresight."""
     t = instants(duration, SIGHT_HZ)
-    gain = radio.antennas.power + radio.antennas.gain - POLARISATION_DB
+    gain = radio.antennas.power + radio.antennas.gain - polarisation_loss(radio.antennas)
     best = (radio.tags.gain - radio.tags.sensitivity)[tags].max(initial=-np.inf)
     reach = radio.wavelength / (4 * np.pi) * 10 ** ((gain + best) / 20)
     seen, clear = 0, 0

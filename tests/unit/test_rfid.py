@@ -244,7 +244,10 @@ def test_adding_a_tag_out_of_reach_or_a_sensor_changes_no_read():
 def test_adding_an_antenna_moves_no_draw_of_another():
     here = {"id": "x", "position_m": [0, 0, 1]}
     still = rolling(0.0, 2.0)
-    quiet = {"artefacts": {"rssi_step_db": 0, "rssi_channel_db": 0, "rssi_noise_db": 1.0}, "reader": {"longest_visit_s": 0.01}}
+    quiet = {
+        "artefacts": {"rssi_step_db": 0, "rssi_channel_db": 0, "rssi_noise_db": 1.0, "late_probability": 0},
+        "reader": {"longest_visit_s": 0.01},
+    }
     alone = sensed({**quiet, "antennas": [here, {"id": "y", "position_m": [0, 1, 1]}]}, truth=still).streams["reads"]
     more = sensed({**quiet, "antennas": [here, {"id": "z", "position_m": [0, 2, 1]}, {"id": "y", "position_m": [0, 1, 1]}]}, truth=still)
     mine, reads = more.streams["reads"].take(more.streams["reads"].antenna == 0), alone.take(alone.antenna == 0)
