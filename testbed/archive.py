@@ -4,6 +4,7 @@
       recording/   what estimators got: recording.json, site.*.parquet, stream.<kind>.parquet, targets.parquet
       truth/       what really happened: truth.parquet, scene.*, tagged.*, truth.json
       tracks/      <estimator>.parquet (and beside it .B and .innovations)
+      guides/      of a guided person: a folder like this one for each further guide, which made data of its own
 
 Truth is never in the same file, nor even the same folder, as a stream.
 """
@@ -23,6 +24,7 @@ import pyarrow as pa
 
 from testbed import tables
 from testbed.columns import Array, Columns, Table
+from testbed.guided.record import Walk
 from testbed.protocols import Tagged
 from testbed.recording import Recording, Trial
 from testbed.scene import Body, Scene, Truth
@@ -40,8 +42,18 @@ def place(folder: Path, point: int, trial: int) -> Path:
     return folder / "recordings" / f"point-{point:04d}" / f"trial-{trial:06d}"
 
 
-def save(folder: Path, trial: Trial, tracks: Mapping[str, Track], scene: Scene, tagged: Tagged) -> None:
-    """Write a trial as `folder`, whole or not at all; what was there before is replaced. StoreError where the disk won't have it."""
+def save(
+    folder: Path,
+    trial: Trial,
+    tracks: Mapping[str, Track],
+    scene: Scene,
+    tagged: Tagged,
+    guides: Mapping[str, tuple[Trial, Track]] | None = None,
+) -> None:
+    """Write a trial as `folder`, whole or not at all; what was there before is replaced. StoreError where the disk won't have it.
+
+    guides : by id, of guides beside the one whose trial this is, theirs
+    """
     rough = folder.with_name(f".{folder.name}.{os.getpid()}.part")
     try:
         shutil.rmtree(rough, ignore_errors=True)
@@ -51,6 +63,8 @@ def save(folder: Path, trial: Trial, tracks: Mapping[str, Track], scene: Scene, 
         _save_truth(rough / "truth", trial, scene, tagged)
         for id, track in tracks.items():
             tables.write(track, rough / "tracks" / f"{id}.parquet")
+        for id, (own, track) in (guides or {}).items():
+            save(rough / "guides" / id, own, {id: track}, scene, tagged)
         if folder.exists():
             shutil.rmtree(folder)
         rough.rename(folder)
@@ -72,6 +86,11 @@ def load_trial(folder: Path) -> Trial:
 def load_scene(folder: Path) -> tuple[Scene, Tagged]:
     """The hall of the trial in `folder`, and where its tags truly are: for drawing."""
     return _read(Path(folder), _load_scene)
+
+
+def load_guides(folder: Path) -> dict[str, tuple[Trial, dict[str, Track]]]:
+    """Of a guided person's trial in `folder`, what the guides beside the first one made of it, by id: their own trial, and tracks."""
+    return {path.name: (load_trial(path), load_tracks(path)) for path in sorted((Path(folder) / "guides").glob("*")) if path.is_dir()}
 
 
 def load_tracks(folder: Path) -> dict[str, Track]:
@@ -130,6 +149,8 @@ def _save_truth(folder: Path, trial: Trial, scene: Scene, tagged: Tagged) -> Non
     _write_array(folder / "target_body.parquet", np.asarray(trial.target_body))
     _write_array(folder / "target_pose.parquet", trial.target_pose)
     _write_array(folder / "body_pose.parquet", scene.rest_poses())
+    if trial.walk is not None:
+        tables.write(trial.walk, folder / "walk.parquet")
     plain = {
         "stimulus": trial.stimulus,
         "bodies": [{"name": b.name, "kind": b.kind, "moving": b.moving} for b in scene.bodies],
@@ -145,7 +166,8 @@ def _load_trial(folder: Path) -> Trial:
     plain = _read_json(folder / "truth.json")
     truth = _typed(folder / "truth.parquet", Truth)
     body = _read_array(folder / "target_body.parquet")
-    return Trial(recording, truth, body, _read_array(folder / "target_pose.parquet"), plain["stimulus"])
+    walk = _typed(folder / "walk.parquet", Walk) if (folder / "walk.parquet").is_file() else None
+    return Trial(recording, truth, body, _read_array(folder / "target_pose.parquet"), plain["stimulus"], walk)
 
 
 def _load_scene(folder: Path) -> tuple[Scene, Tagged]:

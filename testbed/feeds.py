@@ -17,6 +17,7 @@ from testbed.recording import Recording
 from testbed.types import Counts, Heading, Odometry, Ranges, Reads, RoundCounts, Rounds
 
 Stream = TypeVar("Stream", bound=Table)
+from testbed.guidance import Actions
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,3 +224,4 @@ _ROUTES: dict[str, Callable[[Sequence[Recording], float], Feed]] = {
     "ranges": _by_target("ranges", Ranges, "target"),
 }
 KINDS = frozenset(_ROUTES)  # what an estimator may name in `consumes`
+    "actions": _by_target("actions", Actions, "target"),

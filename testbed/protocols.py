@@ -16,6 +16,7 @@ from pydantic import BaseModel
 
 from testbed.columns import Array, Columns, Table, column
 from testbed.geometry import Boxes, Mounts
+from testbed.guidance import Advice
 from testbed.rng import RowRandom
 from testbed.types import Antennas, Estimate, Event, Prior, Site, Status, Tags, Track, UpdateInfo
 from testbed.view import Camera, Image
@@ -45,9 +46,10 @@ class Actor(Protocol):
 
 @dataclass(frozen=True)
 class ActorPlan:
-    """One actor of a scenario: who, how it moves ("dynamic", "kinematic" or "parked") and along which route.
+    """One actor of a scenario: who, how it moves ("dynamic", "kinematic", "parked" or "guided") and along which route.
 
-    route is a `testbed.scenario.Route`, or None for an actor that stays where it stands.
+    route is a `testbed.scenario.Route`, or None for an actor that stays where it stands. One that is guided stands at its pose, until
+    the closed loop (`testbed.closed_loop`) moves it.
     """
 
     id: str
@@ -281,10 +283,10 @@ class Decides(Protocol):
 
 @runtime_checkable
 class Guide(Protocol):
-    """An estimator that tells a person where to go next."""
+    """An estimator that tells a person where to go next. It consumes "actions" (`testbed.guidance.Actions`), and reads if it likes."""
 
-    def suggest(self) -> Array:
-        """(B, 2): turn (rad, counter-clockwise) and step (m)."""
+    def suggest(self) -> Advice:
+        """What each row should do now, and in words why there is no direction where there is none. Pure."""
         ...
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from testbed import frames
 from testbed.columns import Array, Table
+from testbed.guided.record import Walk
 from testbed.scene import WORLD, Truth
 from testbed.types import Site, Targets
 
@@ -36,6 +37,7 @@ class Trial:
     target_body : (targets,) int, moving body of each target in `truth`, -1 for one that stands still
     target_pose : (targets, 7) the target in its body's frame (in the world's where the body is -1)
     stimulus    : what the world offered, by name ("line_of_sight"), asserted by scenarios under `expect: world:`
+    walk        : of a guided person, what they really did, action by action
     """
 
     recording: Recording
@@ -43,6 +45,7 @@ class Trial:
     target_body: Array
     target_pose: Array
     stimulus: dict[str, float]
+    walk: Walk | None = None
 
     def target_states(self, t: Array) -> Array:
         """(K, targets, 6): true position (m) and velocity (m/s) of every target at times t (K,), world frame."""

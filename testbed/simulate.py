@@ -89,6 +89,10 @@ class Simulator:
 
     def __enter__(self) -> Self:
         return self
+    def plan(self, id: str) -> ActorPlan:
+        """The plan of the actor with this id. KeyError where there is none."""
+        return {plan.id: plan for plan in self._actors}[id]
+
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
@@ -101,11 +105,11 @@ class Simulator:
         """One trial, a function of (scenario, seed, index) alone. `seed` is the scenario's where left out."""
         return self._sensed(self.moved(index, seed))
 
-    def moved(self, index: int, seed: int | None = None) -> Surroundings:
-        """A trial before anything senses it: what its sensors are given."""
+    def moved(self, index: int, seed: int | None = None, duration: float | None = None) -> Surroundings:
+        """A trial before anything senses it: what its sensors are given. `duration` (s) is the scenario's where left out."""
         scenario, root = self.scenario, self.scenario.seed if seed is None else seed
         truth = self._world.move(
-            self.scene, self._actors, scenario.duration_s, root, index, step_hz=scenario.step_hz, truth_hz=scenario.truth_hz
+            self.scene, self._actors, duration or scenario.duration_s, root, index, step_hz=scenario.step_hz, truth_hz=scenario.truth_hz
         )
         return self._surroundings(truth, root, index)
 
@@ -122,7 +126,7 @@ class Simulator:
         recording = Recording(
             trial=around.trial,
             duration=scenario.duration_s,
-            site=self._site(around.root, around.trial),
+            site=self.site(around.root, around.trial),
             streams=_merged(sensed),
             targets=self.aims.targets,
             target_tags=self.aims.tags,
@@ -147,7 +151,7 @@ class Simulator:
             trial=index,
         )
 
-    def _site(self, root: int, index: int) -> Site:
+    def site(self, root: int, index: int) -> Site:
         """What an installer would know, with this trial's survey error."""
         antennas = Antennas.concatenate([sensor.antennas() for sensor in self.sensors])
         radios = [f for f in (sensor.frequencies() for sensor in self.sensors) if len(f)]

@@ -22,6 +22,7 @@ from testbed import archive
 from testbed.columns import Array
 from testbed.estimate import row_seeds, run
 from testbed.evaluate import Rows, score
+from testbed.guided.section import guided_actor
 from testbed.plugins import BrokenPlugin, UnknownPlugin, load
 from testbed.prior import draw_prior
 from testbed.protocols import Metric
@@ -138,7 +139,9 @@ def run_block(block: Block) -> BlockResult:
 
     Raises what says that the input as a whole is bad (`BAD_INPUT`); a failure of a trial is in the result.
     """
-    scenario, work = _scenario(block), _Work(block)
+    scenario, work = _scenario(block), Work(block)
+    if guided_actor(scenario) is not None:
+        return run_guided(block, scenario, work)
     trials = [trial for number in block.trials if (trial := work.simulated(scenario, number)) is not None]
     tracks = {section.id: work.estimated(scenario, section, trials) for section in scenario.estimators}
     metrics: dict[str, Metric] = {s.id: load("metrics", s.kind)(s.config) for s in scenario.metrics}
@@ -160,7 +163,29 @@ def run_block(block: Block) -> BlockResult:
     return BlockResult(block.point, block.trials, stack(rows), stack(worlds), stack(work.timings), tuple(failures), tuple(work.notes))
 
 
-class _Work:
+def run_guided(block: Block, scenario: Scenario, work: Work) -> BlockResult:
+    """Let every guide lead a person in the trials of a block, and score and keep what came of it: each guide has trials of its own."""
+    own = {section.id: work.walked(scenario, section, block.trials, block.keep) for section in scenario.estimators}
+    metrics: dict[str, Metric] = {s.id: load("metrics", s.kind)(s.config) for s in scenario.metrics}
+    rows, worlds = [], []
+    for number in block.trials:
+        there = {id: found[number] for id, found in own.items() if number in found}
+        if not there:
+            continue
+        first = next(iter(there.values()))[0]
+        world = {"point": block.point, "trial": number, "seed": scenario.seed, **first.stimulus}
+        worlds.append({name: np.array([value]) for name, value in world.items()})
+        rows += [work.scored(scenario, s, there[s.id][1], there[s.id][0], metrics) for s in scenario.estimators if s.id in there]
+        failed = any(f.trial == number for f in work.failures)
+        if block.folder is not None and (number in block.keep or (failed and block.keep_failed)):
+            id, simulator = next(iter(there)), work.simulator(scenario)
+            others = {other: found for other, found in there.items() if other != id}
+            place = archive.place(block.folder, block.point, number)
+            archive.save(place, first, {id: there[id][1]}, simulator.scene, simulator.tagged, others)
+    return BlockResult(block.point, block.trials, stack(rows), stack(worlds), stack(work.timings), tuple(work.failures), tuple(work.notes))
+
+
+class Work:
     """One block on its way: its failures, wall times and remarks so far."""
 
     def __init__(self, block: Block) -> None:
@@ -187,6 +212,27 @@ class _Work:
             return None
         self._time(number, "", [""], "simulate", np.array([perf_counter() - begun]), np.zeros(1))
         return trial
+
+    def walked(self, scenario: Scenario, section: Section, numbers: Sequence[int], keep: Sequence[int]) -> dict[int, tuple[Trial, Track]]:
+        """The trials under one guide, and its tracks: all together, or, where that fails, one by one."""
+        from testbed.closed_loop import walk  # it stands on the simulator and on what scores, as this module does
+
+        try:
+            simulator = self.simulator(scenario)
+            found = walk(scenario, section, load("estimators", section.kind), simulator, numbers, self._particles, keep)
+        except BAD_INPUT:
+            raise
+        except Exception as error:
+            together = error
+        else:
+            for number, (_, track) in found.items():
+                self._time(number, section.id, track.target, "update", track.update_seconds, track.used + track.refused)
+            return found
+        if len(numbers) == 1:
+            self._fail(numbers[0], section.id, "estimate", together)
+            return {}
+        alone = [self.walked(scenario, section, [number], keep) for number in numbers]
+        return {number: one for found in alone for number, one in found.items()}
 
     def estimated(self, scenario: Scenario, section: Section, trials: list[Trial]) -> dict[int, Track]:
         """The tracks by trial: of all together, or, where that fails, one by one, so that only the guilty ones are lost."""

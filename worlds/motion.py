@@ -45,10 +45,11 @@ class Mover:
         trips: dict[str, Any] = {
             a.id: _trip(a.route, scene.roads, duration, rng.stream(root, trial, f"actors.{a.id}.route"))
             for a in actors
-            if a.motion != "parked"
+            if a.motion in ("kinematic", "dynamic")
         }
         t = np.arange(int(np.ceil(duration * truth_hz - 1e-9)) + 1) / truth_hz
         poses = {a.id: trips[a.id].pose(t) for a in actors if a.motion == "kinematic"}
+        poses |= {a.id: np.tile(a.pose, (len(t), 1)) for a in actors if a.motion == "guided"}  # nobody has told them yet where to go
         if any(a.motion == "dynamic" for a in actors):
             poses |= self._drive(scene, actors, trips, (len(t) - 1) / truth_hz, step_hz, truth_hz)
         names = scene.moving_names

@@ -13,6 +13,7 @@ import numpy as np
 from testbed import frames
 from testbed.columns import Array, Table
 from testbed.geometry import Boxes, Roads
+from testbed.guidance import Actions
 from testbed.recording import Recording
 from testbed.rng import stream
 from testbed.types import Antennas, Counts, Heading, Odometry, Prior, Ranges, Reads, References, Rounds, Site, Tags, Targets
@@ -57,6 +58,7 @@ def recording(trial: int = 0, duration: float = 2.0, latency: float = 0.0, reads
         "heading": _heading(rng, duration),
         "ranges": _ranges(where, rng, duration),
     }
+    made["actions"] = _actions(duration)
     made["rounds"], made["counts"] = _rounds(where, rng, duration)
     tags = tuple(np.array(p, dtype=np.int64) for p in places)
     asked = np.ones((1, len(where.tags)), dtype=bool)
@@ -73,7 +75,7 @@ def only(recording: Recording, target: int) -> Recording:
     """The recording as one of a single target: streams that name targets are cut to it."""
     streams: dict[str, Table] = {}
     for kind, table in recording.streams.items():
-        column = {"odometry": "carrier", "heading": "carrier", "ranges": "target"}.get(kind)
+        column = {"odometry": "carrier", "heading": "carrier", "ranges": "target", "actions": "target"}.get(kind)
         if column is not None:
             mine = table.take(getattr(table, column) == target)
             table = mine.with_(**{column: np.zeros(len(mine))})
@@ -139,6 +141,17 @@ def _ranges(site: Site, rng: np.random.Generator, duration: float) -> Ranges:
     anchor, target = rng.integers(0, len(site.antennas), len(t)), rng.integers(0, TARGETS, len(t))
     distance = np.linalg.norm(_where(site, target, t) - site.antennas.position[anchor], axis=1)
     return Ranges(t, t, anchor, target, distance + rng.normal(0.0, 0.1, len(t)))
+
+
+def _actions(duration: float) -> Actions:
+    """People who listen, turn and step by turns, four times a second; every seventh turn leaves them without an answer."""
+    rng = stream(7, 0, "samples.actions")
+    n = int(duration * 4) * TARGETS
+    t, target, number = 0.25 * (np.arange(n) // TARGETS + 0.9), np.arange(n) % TARGETS, np.arange(n) // TARGETS
+    steps = number % 2 == 1
+    step, turn = np.where(steps, 0.5, 0.0), np.where(steps | (number == 0), 0.0, rng.uniform(-2.0, 2.0, n))
+    change = np.where(steps, rng.uniform(-18.0, 9.0, n), np.nan)
+    return Actions(t, t, t - 0.2, target, turn, step, steps | (number % 7 != 6), change)
 
 
 def _arriving(table: Table, rng: np.random.Generator, latency: float) -> Table:

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, Field, PrivateAttr, model_validator
 
+from testbed.guided.section import GuidedWalk
 from testbed.quantity import Config, Degrees, Hertz, Metres, MetresPerSecond, Point2, Point3, Seconds
 from testbed.route import Route
 from testbed.scenario.problems import Loc
@@ -128,16 +129,24 @@ class ActorModel(Config):
 
     kind: str
     id: Annotated[str, Field(pattern=ID_PATTERN, max_length=60)]
-    motion: Literal["dynamic", "kinematic", "parked"]
+    motion: Literal["dynamic", "kinematic", "parked", "guided"]
     route: Route | None = None
     walk: RoadWalk | None = None
+    guided: GuidedWalk | None = None
     position_m: Point2 | None = None
     yaw_deg: Degrees = 0.0
     tags: list[Any] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _place(self) -> ActorModel:
-        if self.motion == "parked":
+        if (self.guided is not None) != (self.motion == "guided"):
+            raise ValueError("motion guided and the section guided, with how well the person follows, belong together")
+        if self.motion == "guided":
+            if self.route is not None or self.walk is not None:
+                raise ValueError("a guided actor goes where its guide says: remove its route or walk")
+            if self.position_m is None and self.guided is not None and self.guided.start_distance_m is None:
+                raise ValueError("a guided actor starts at its position_m, or at start_distance_m from the tag: give one")
+        elif self.motion == "parked":
             if self.position_m is None:
                 raise ValueError("a parked actor needs position_m, [x, y] in metres")
             for name in ("route", "walk"):
@@ -199,13 +208,13 @@ class Section:
 class ActorSection:
     """An actor of a scenario. `tags` are in its own frame and have `on` set to its id; position and yaw are those of a parked one.
 
-    `route` is a walk for one that wanders.
+    `route` is a walk for one that wanders, and how it follows instructions for one that is guided.
     """
 
     id: str
     kind: str
     motion: str
-    route: Route | RoadWalk | None
+    route: Route | RoadWalk | GuidedWalk | None
     position_m: tuple[float, float] | None
     yaw_deg: float
     config: BaseModel

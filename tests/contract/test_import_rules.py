@@ -12,13 +12,16 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = ("testbed", "worlds", "estimators", "scenarios")
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 
-SEEN_BY_ESTIMATORS = {f"testbed.{m}" for m in ("types", "columns", "protocols", "quantity", "rng", "frames", "units", "lift", "roads")}
+SEEN_BY_ESTIMATORS = {
+    f"testbed.{m}" for m in ("types", "columns", "protocols", "quantity", "rng", "frames", "units", "lift", "roads", "guidance")
+}
 LIBRARIES = {"numpy", "scipy", "filterpy", "numba", "pydantic"}
 LEAVES = {  # what each of the lowest modules may stand on, numpy and the standard library aside
     "testbed/columns.py": set(),
     "testbed/units.py": {"testbed.columns"},
     "testbed/frames.py": {"testbed.columns"},
     "testbed/geometry.py": {"testbed.columns"},
+    "testbed/guidance.py": {"testbed.columns"},
     "testbed/roads.py": {"testbed.columns", "testbed.geometry"},
     "testbed/rng.py": {"testbed.columns", "scipy.special"},
     "testbed/types.py": {"testbed.columns", "testbed.geometry", "testbed.rng"},
