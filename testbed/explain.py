@@ -54,6 +54,7 @@ class Visit:
     able        : whether its link was good enough to take part when the visit began; others_able : how many others' were
     reads_s     : when it was read; lost_s : when it answered and the link did not carry it
     others_read : how many other tags were read, in `others_reads` reads; rounds : inventory rounds, one at the most with one target
+    collisions  : slots in which several tags answered at once, so that none was read
     """
 
     start_s: float
@@ -66,6 +67,7 @@ class Visit:
     others_read: int
     others_reads: int
     rounds: int
+    collisions: int
 
 
 @dataclass(frozen=True)
@@ -240,6 +242,7 @@ def _visit(sensor: Rfid, around: Surroundings, diary: Diary, visit: int, tag: in
         others_read=len(np.unique(others.tag)),
         others_reads=len(others),
         rounds=int(rounds.queries[visit]),
+        collisions=int(diary.collisions[visit]),
     )
 
 

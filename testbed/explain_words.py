@@ -106,7 +106,7 @@ def _not_served(e: Explanation, serving: Serving) -> str:
 
 
 def _no_slot(visit: Visit) -> str:
-    others = f"{visit.others_able} other tags could answer and {visit.others_read} of them were read"
+    others = f"{visit.others_able} other tags could answer, {visit.others_read} were read and {visit.collisions} slots were collisions"
     return (
         f"not read: it was asked and could answer, but had no slot to itself before the visit ended; {others} from {visit.start_s:.3f} to "
         f"{visit.end_s:.3f} s. Longer visits (longest_visit_s), or fewer tags at once, leave room"
@@ -312,7 +312,8 @@ def _said(visit: Visit) -> str:
         own = "asked, not read" if visit.asked else "not asked"
     lost = f", {len(visit.lost_s)} answers lost" if visit.lost_s else ""
     able = "" if visit.able else ", too weak to take part"
-    return f"{own}{lost}{able}; other tags: {visit.others_able} could answer, {visit.others_read} read ({visit.others_reads} reads)"
+    others = f"other tags: {visit.others_able} could answer, {visit.others_read} read ({visit.others_reads} reads)"
+    return f"{own}{lost}{able}; {others}; {visit.collisions} collisions"
 
 
 def _show_block(console: Console, block: Block | None) -> None:

@@ -59,6 +59,7 @@ class Inventory:
     """What a reader did. Visits: antenna, its number among that antenna's, rounds begun, start and end (s). Reads: visit, tag, time (s).
 
     silenced : (S, 2) int64, (visit, tag) of tags that their session flag kept from being asked in the whole visit
+    collisions : of each visit, slots in which several answered at once
     """
 
     antenna: Array
@@ -70,6 +71,7 @@ class Inventory:
     tag: Array
     t: Array
     silenced: Array
+    collisions: Array
 
 
 class _Reader(NamedTuple):
@@ -154,7 +156,7 @@ class Interrogator:
             room = needed  # once more, with room for all: nothing else changes
         self._port, self._start = port, start
         self._number, self._expected, self._until = state
-        return Inventory(visits[:, 0], visits[:, 1], visits[:, 2], ends[:, 0], ends[:, 1], visit, tag, t, silent[:needed])
+        return Inventory(visits[:, 0], visits[:, 1], visits[:, 2], ends[:, 0], ends[:, 1], visit, tag, t, silent[:needed], visits[:, 3])
 
 
 def inventory(
@@ -187,9 +189,10 @@ def _draw(seed, tag, frame):
 def _round(reader, t, end, q, waiting, many, tag_key, seed, slot, found, when):
     """One round over the tags waiting[:many] from t on, at most until `end`. `waiting` is used up, slot (2, 2^LARGEST_Q) is for work.
 
-    Writes tags and times of reads into `found` and `when`, in order. Returns the time after the round, and how many reads.
+    Writes tags and times of reads into `found` and `when`, in order. Returns the time after the round, how many reads, and how many
+    collisions.
     """
-    reads, frame, level = 0, 0, float(q)
+    reads, frame, level, collisions = 0, 0, float(q), 0
     t += reader.query
     while True:
         size, collided = 1 << q, False
@@ -207,11 +210,13 @@ def _round(reader, t, end, q, waiting, many, tag_key, seed, slot, found, when):
             else:
                 t, level, collided = t + reader.collision, min(level + STEP, float(LARGEST_Q)), True
             if t > end:
-                return end, reads
+                return end, reads, collisions
             if slot[0, place] == 1:
                 found[reads], when[reads] = waiting[slot[1, place]], t
                 waiting[slot[1, place]] = -1
                 reads += 1
+            elif slot[0, place] > 1:
+                collisions += 1
             if int(level + 0.5) != q:
                 break
         kept = 0
@@ -221,7 +226,7 @@ def _round(reader, t, end, q, waiting, many, tag_key, seed, slot, found, when):
                 kept += 1
         many, frame = kept, frame + 1
         if int(level + 0.5) == q and not collided:
-            return t, reads
+            return t, reads, collisions
         q = int(level + 0.5)
         t += reader.adjust
 
@@ -231,9 +236,9 @@ def _visit(reader, start, stop, expected, here, tag_key, own, until, persistence
     """Rounds over the tags `here` from `start` on, one at least, until `shortest` is over.
 
     `until` (T,) is when each tag's flag falls back; a tag whose flag is set isn't asked. Reads are added to `found` and `when`.
-    Returns end, rounds, reads of the last round, reads in all.
+    Returns end, rounds, reads of the last round, reads in all, collisions in all.
     """
-    end, rounds, reads = start, 0, 0
+    end, rounds, reads, collisions = start, 0, 0, 0
     waiting = np.empty(len(here), dtype=np.int64)
     while rounds == 0 or (end < start + reader.shortest and end < stop):
         many = 0
@@ -243,7 +248,8 @@ def _visit(reader, start, stop, expected, here, tag_key, own, until, persistence
                 many += 1
         q = min(int(np.log2(max(expected, 1)) + 0.5), LARGEST_Q)
         seed = _mixed(own + np.uint64(rounds))
-        end, expected = _round(reader, end + reader.between, stop, q, waiting, many, tag_key, seed, slot, found[reads:], when[reads:])
+        end, expected, met = _round(reader, end + reader.between, stop, q, waiting, many, tag_key, seed, slot, found[reads:], when[reads:])
+        collisions += met
         if reader.single:
             for i in range(reads, reads + expected):
                 until[found[i]] = np.inf if reader.session == 0 else when[i] + persistence[found[i]]
@@ -252,7 +258,7 @@ def _visit(reader, start, stop, expected, here, tag_key, own, until, persistence
     if reader.session == 0:  # without power it is forgotten
         for k in here:
             until[k] = end
-    return end, rounds, expected, reads
+    return end, rounds, expected, reads, collisions
 
 
 @njit(cache=True)
@@ -264,8 +270,8 @@ def _run(
     as far as it reaches.
 
     number, expected (A,) and until (T,) are the reader's memory and go on being used.
-    Returns port and start of the next visit, (port, number, rounds) and (start, end) of visits, visit, tag and time of reads, and how
-    many are silenced.
+    Returns port and start of the next visit, (port, number, rounds, collisions) and (start, end) of visits, visit, tag and time of reads,
+    and how many are silenced.
     """
     ports, count, many, silenced = len(antenna_key), 0, 0, 0
     span = max(duration - start, 0.0)
@@ -274,7 +280,7 @@ def _run(
     most = int((span + reader.shortest) / reader.success) + 1
     found, when, of = np.empty(most, dtype=np.int64), np.empty(most), np.empty(most, dtype=np.int64)
     most = int(span / max(reader.shortest, reader.switch + min(reader.longest, reader.between + reader.query))) + 2
-    visits, ends = np.empty((most, 3), dtype=np.int64), np.empty((most, 2))
+    visits, ends = np.empty((most, 4), dtype=np.int64), np.empty((most, 2))
     slot = np.zeros((2, 1 << LARGEST_Q), dtype=np.int64)
     here = np.empty(len(tag_key), dtype=np.int64)
     while ports and start < last:
@@ -292,13 +298,13 @@ def _run(
                         until[k] = max(until[k], start + persistence[k])
         own = _mixed(_mixed(seed ^ antenna_key[port]) + np.uint64(number[port]))
         stop = min(start + reader.longest, duration) if ports > 1 else duration
-        end, rounds, expected[port], reads = _visit(
+        end, rounds, expected[port], reads, collisions = _visit(
             reader, start, stop, expected[port], here[:hear], tag_key, own, until, persistence, slot, found[many:], when[many:]
         )
         for i in range(many, many + reads):
             of[i] = count
         many += reads
-        visits[count, 0], visits[count, 1], visits[count, 2] = port, number[port], rounds
+        visits[count, 0], visits[count, 1], visits[count, 2], visits[count, 3] = port, number[port], rounds, collisions
         ends[count, 0], ends[count, 1] = start, end
         number[port] += 1
         count += 1

@@ -35,9 +35,9 @@ class Tag:
 
 
 def one_round(tags, q, times, rng):
-    """(seconds, reads in order of time): the interrogator's side, one command at a time."""
+    """(seconds, reads in order of time, collisions): the interrogator's side, one command at a time."""
     crowd = [Tag(rng) for _ in range(tags)]
-    seconds, level, reads = times.query, float(q), []
+    seconds, level, reads, collisions = times.query, float(q), [], 0
     while True:
         for tag in crowd:
             tag.pick(q)
@@ -51,7 +51,7 @@ def one_round(tags, q, times, rng):
                 answers[0].done = True
                 reads.append(seconds)
             else:
-                quiet, level = False, level + STEP
+                quiet, level, collisions = False, level + STEP, collisions + 1
             left -= 1
             for tag in crowd:
                 tag.counter -= 1  # who collided waits for the next frame
@@ -59,7 +59,7 @@ def one_round(tags, q, times, rng):
                 break
         else:
             if quiet:
-                return seconds, reads
+                return seconds, reads, collisions
         q = int(level + 0.5)
         seconds += times.adjust
 
@@ -69,7 +69,8 @@ def test_rounds_have_the_mean_and_the_spread_of_a_simulation_tag_by_tag(tags):
     rng = np.random.default_rng(tags)
     p = profile("r420", between_rounds=0.0)
     q = max(0, int(np.floor(np.log2(tags) + 0.5)))  # what the reader expects after a round in which it read them all
-    other = np.array([one_round(tags, q, slots(p.link), rng)[0] for _ in range(400 if tags > 5 else 1500)])
+    rounds = [one_round(tags, q, slots(p.link), rng) for _ in range(400 if tags > 5 else 1500)]
+    other, met = np.array([r[0] for r in rounds]), np.array([r[2] for r in rounds])
     got = run("r420", 2, tags, seconds=200.0 if tags > 5 else 60.0, between_rounds=0.0, longest_visit=100.0)
     ours = (got.end - got.start)[4:-1]
     assert (np.bincount(got.visit, minlength=len(got.start))[4:-1] == tags).all()
@@ -77,6 +78,9 @@ def test_rounds_have_the_mean_and_the_spread_of_a_simulation_tag_by_tag(tags):
     assert ours.mean() == pytest.approx(other.mean(), abs=5 * error + 1e-12)
     # the standard error of a spread is about its own size over √(2n), more for long tails: 25 % is beyond 5 sigma
     assert ours.std() == pytest.approx(other.std(), rel=0.25, abs=1e-12)
+    collisions = got.collisions[4:-1]
+    error = np.hypot(collisions.std() / np.sqrt(len(collisions)), met.std() / np.sqrt(len(met)))
+    assert collisions.mean() == pytest.approx(met.mean(), abs=5 * error + 1e-12)
 
 
 def test_reads_in_a_fixed_time_have_the_spread_of_a_simulation_tag_by_tag():

@@ -250,6 +250,7 @@ def test_too_many_tags_for_a_visit():
     assert e.reason is Reason.NO_SLOT
     assert e.serving.now.others_able == 99
     assert 0 < e.serving.now.others_read < 50
+    assert e.serving.now.collisions > 0
     assert "99 other tags could answer" in verdict(e)
 
 
