@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
-import numpy as np
+from collections.abc import Sequence
 
 from estimators import kalman
-from estimators.belief import Belief, StatusConfig
-from estimators.motion import ConstantVelocity, MotionConfig
-from estimators.rssi_model import ReadVariance, RssiConfig, RssiModel, measured
-from testbed.types import Array, Estimate, Event, Prior, Reads, RowRandom, Site, UpdateInfo
+from estimators.filtering import FilterConfig, PowerFilter, diagonal, stacked
+from estimators.measurements import Piece
+from testbed.types import Array, UpdateInfo
 
 
-class EkfConfig(RssiConfig, MotionConfig, StatusConfig):
+class EkfConfig(FilterConfig):
     """The section of an `ekf`. With gate: none, curvature_noise: false and correlation_s: 0 it is the plain textbook filter."""
 
-    gate: kalman.Gate = 0.999
     curvature_noise: bool = True
 
 
-class Ekf:
-    """State (x, y, z, vx, vy, vz), constant velocity; every read is one scalar measurement, linearised at the present mean.
+class Ekf(PowerFilter):
+    """State (x, y, z, vx, vy, vz), constant velocity; every read (or snapshot of reads) is linearised at the present mean.
 
     RSSI bends sharply near an antenna, where a straight line through it promises far more than a read can tell. `curvature_noise` adds
     to the noise what the curvature makes of the present doubt, ½ tr((H'' P)²), the second-order term of Jazwinski 1970, ch. 9: as long
@@ -32,44 +28,13 @@ class Ekf:
     """
 
     Config = EkfConfig
-    consumes: ClassVar[frozenset[str]] = frozenset({"reads"})
 
-    def __init__(self, config: EkfConfig, site: Site, rng: RowRandom) -> None:
-        self._config, self._antennas = config, len(site.antennas)
-        self._model, self._motion = RssiModel(config, site, "ekf"), ConstantVelocity(config)
-        self._limits = kalman.gate_limits(config.gate, 1)
-
-    def start(self, prior: Prior) -> None:
-        self._belief = Belief(prior, self._motion, self._config)
-        self._variance = ReadVariance(self._config, prior.rows, self._antennas)
-        self.predict(prior.t)
-        self.update(Event("reads", np.empty(0, dtype=np.int64), Reads.empty()))  # kernels are compiled here, not in the first update
-
-    def predict(self, t: Array) -> None:
-        self._belief.predict(t)
-
-    def update(self, event: Event) -> UpdateInfo:
-        row, reads, belief = event.row, event.data, self._belief
-        position = belief.mean[row, :3]
-        variance = self._variance.of(row, reads.antenna, reads.t)
-        if self._config.curvature_noise:
-            expected, gradient, hessian = self._model.quadratic(position, reads.antenna, reads.tag)
-            variance = variance + curvature_noise(hessian, belief.covariance[row, :3, :3])
-        else:
-            expected, gradient = self._model.linearised(position, reads.antenna, reads.tag)
-        jacobian = np.zeros((len(row), 1, 6))
-        jacobian[:, 0, :3] = gradient
-        innovation = (measured(reads.rssi) - expected)[:, None]
-        info = kalman.extended_update(belief.mean, belief.covariance, row, innovation, jacobian, variance[:, None, None], self._limits)
-        belief.heard(row, info.used)
-        self._variance.took(row[info.used], reads.antenna[info.used], reads.t[info.used])
-        return info
-
-    def estimate(self) -> Estimate:
-        return self._belief.estimate()
-
-
-def curvature_noise(hessian: Array, covariance: Array) -> Array:
-    """(E,) ½ tr((H'' P)²): the variance that a parabola adds to the straight line through it, from (E, k, k) both."""
-    product = hessian @ covariance
-    return np.einsum("eij,eji->e", product, product) / 2
+    def _correct(self, row: Array, pieces: Sequence[Piece]) -> UpdateInfo:
+        belief = self._belief
+        mean = belief.mean[row]
+        doubt = belief.covariance[row] if self._config.curvature_noise else None
+        expected, jacobian, variance = zip(*(piece.linearised(mean, doubt) for piece in pieces), strict=True)
+        innovation = stacked([piece.z - h for piece, h in zip(pieces, expected, strict=True)])
+        limits = kalman.gate_limits(self._config.gate, innovation.shape[1])
+        noise = diagonal(stacked(variance))
+        return kalman.extended_update(belief.mean, belief.covariance, row, innovation, stacked(jacobian), noise, limits)

@@ -98,6 +98,10 @@ class RssiModel:
         hessian = (gradient[:, 1:] - gradient[:, :1]) / step[:, None, None]
         return level[:, 0], gradient[:, 0], (hessian + hessian.transpose(0, 2, 1)) / 2
 
+    def distance(self, rssi: Array, antenna: Array, tag: Array) -> Array:
+        """m: the distance on boresight that a level (...) in dBm stands for, by the law alone; NaN for NaN."""
+        return np.exp((self._level[antenna, tag] - rssi) / self._slope)
+
     def _evaluate(self, position: Array, antenna: Array, tag: Array, gradient: Array) -> Array:
         """`expected`; fills `gradient` unless it is empty."""
         points = np.ascontiguousarray(position).reshape(len(antenna), math.prod(position.shape[1:-1]), 3)

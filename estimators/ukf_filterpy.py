@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from estimators import kalman
-from estimators.belief import status_of
-from estimators.ekf_filterpy import judged, read_variance
-from estimators.motion import ConstantVelocity
-from estimators.rssi_model import LIMITS_DBM, RssiModel
+from estimators.filterpy_twin import FilterpyTwin, Level
 from estimators.ukf import UkfConfig
-from testbed.protocols import SingleTarget
-from testbed.types import POSITION_VELOCITY, Array, Site, Status
+from testbed.types import Array
 
 
-class UkfFilterpy(SingleTarget):
+class UkfFilterpy(FilterpyTwin):
     """Equal to `ukf` to 1e-9 under the same configuration, some hundred times slower.
 
     filterpy keeps the sigma points of the last prediction; a second read at the same time would be taken through stale ones, so they
@@ -26,46 +20,22 @@ class UkfFilterpy(SingleTarget):
     """
 
     Config = UkfConfig
-    consumes: ClassVar[frozenset[str]] = frozenset({"reads"})
-    components: ClassVar[tuple[str, ...]] = POSITION_VELOCITY
 
-    def __init__(self, config: UkfConfig, site: Site, rng: np.random.Generator) -> None:
-        super().__init__(config, site, rng)
-        self._model, self._motion = RssiModel(config, site, "ukf_filterpy"), ConstantVelocity(config)
-        self._limit = float(kalman.gate_limits(config.gate, 1)[1])
-
-    def start(self, t: float, mean: Array, covariance: Array) -> None:
+    def _made(self) -> Any:
         points = MerweScaledSigmaPoints(6, self.config.alpha, self.config.beta, self.config.kappa)
-        self._filter = UnscentedKalmanFilter(6, 1, 1.0, hx=self._expected, fx=self._move, points=points)
-        self._filter.x, self._filter.P = mean, covariance
-        self._time = self._heard = t
-        self._last: dict[int, float] = {}
+        return UnscentedKalmanFilter(6, 1, 1.0, hx=self._seen, fx=self._moved, points=points)
 
-    def predict(self, t: float) -> None:
-        self._transition, self._filter.Q = self._motion.matrices(t - self._time)
+    def _move(self, transition: Array, noise: Array) -> None:
+        self._transition, self._filter.Q = transition, noise
         self._filter.predict()
-        self._time = t
 
-    def update(self, kind: str, data: Any) -> tuple[bool, float, float, int]:
-        if not LIMITS_DBM[0] <= data.rssi <= LIMITS_DBM[1]:  # nor is NaN
-            return False, math.nan, math.nan, 0
-        one, self._link = self._filter, self._model.link(data.antenna, data.tag)
-        variance = read_variance(self.config, data.t - self._last.get(data.antenna, -math.inf))
-        x, p = one.x, one.P
-        one.sigmas_f = one.points_fn.sigma_points(x, p)
-        one.update(np.array([data.rssi]), R=variance)
-        nis, log_likelihood = judged(one)
-        if nis > self._limit or not np.isfinite(one.P).all():
-            one.x, one.P = x, p
-            return False, log_likelihood, nis, 1
-        self._heard = self._last[data.antenna] = data.t
-        return True, log_likelihood, nis, 1
+    def _take(self, z: Array, levels: list[Level], variance: list[float]) -> None:
+        one, self._levels_now = self._filter, levels
+        one.sigmas_f = one.points_fn.sigma_points(one.x, one.P)
+        one.update(z, R=np.diag(variance))
 
-    def estimate(self) -> tuple[Array, Array, Status]:
-        return self._filter.x, self._filter.P, Status(status_of(np.array(self._time - self._heard), self.config))
+    def _seen(self, x: Array) -> Array:
+        return np.array([self._expected(level, x) for level in self._levels_now])
 
-    def _expected(self, x: Array) -> Array:
-        return np.array([self._link.expected(x)])
-
-    def _move(self, x: Array, dt: float) -> Array:
+    def _moved(self, x: Array, dt: float) -> Array:
         return self._transition @ x

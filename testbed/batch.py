@@ -18,7 +18,7 @@ import numpy as np
 from testbed import archive, pool, worker
 from testbed.evaluate import KEYS, ClaimResult, Interval, Rows, Summary, check_claims, mean_interval, metric_columns, plain, summarise
 from testbed.keep import DEFAULT, Keep, predict_size
-from testbed.manifest import BLOCK, describe, differences, rebuilt
+from testbed.manifest import describe, differences, rebuilt
 from testbed.progress import Progress, Silent
 from testbed.published import compare
 from testbed.published import document as published_document
@@ -144,9 +144,9 @@ def run(
         return _Run(scenario, store, rule, count, progress, executors, work).result()
 
 
-def blocks_of(trials: int) -> list[tuple[int, ...]]:
-    """Trials 0 to `trials` - 1 in blocks of 4: the same ones for any number of jobs."""
-    return [tuple(range(a, min(a + BLOCK, trials))) for a in range(0, trials, BLOCK)]
+def blocks_of(trials: int, size: int = 4) -> list[tuple[int, ...]]:
+    """Trials 0 to `trials` - 1 in blocks of `size`: the same ones for any number of jobs."""
+    return [tuple(range(a, min(a + size, trials))) for a in range(0, trials, size)]
 
 
 def _check_room(store: Store, scenario: Scenario, rule: Keep, progress: Progress) -> None:
@@ -201,7 +201,7 @@ class _Run:
         found = []
         for point in self._scenario.points():
             content = pickle.dumps(point.scenario)
-            for trials in blocks_of(self._scenario.trials):
+            for trials in blocks_of(self._scenario.trials, self._scenario.block):
                 keep = tuple(sorted(first & set(trials)))
                 found.append(Block(content, point.index, trials, folder, keep, self._rule.failed))
         return found
@@ -287,7 +287,7 @@ def rerun(folder: Path, point: int, trial: int, *, into: Path | None = None, wor
         raise ValueError(f"the run has {len(points)} points, counted from 0: there is no point {point}")
     if not 0 <= trial < trials:
         raise ValueError(f"the run has {trials} trials, counted from 0: there is no trial {trial}")
-    block = next(b for b in blocks_of(trials) if trial in b)
+    block = next(b for b in blocks_of(trials, manifest["block"]) if trial in b)
     with TemporaryDirectory() as rough, pool.one_thread_each():
         home = Path(into or rough)
         try:

@@ -2,6 +2,10 @@
 
 A row is one target of one recording. A read goes to every target that has the tag, the read of a reference tag to every row
 of its recording, odometry to the body that carries it, and a round to every row whose tags it asked, the silent ones included.
+
+Two kinds are put together from reads: a snapshot is all that was read of one target at one instant, a reference snapshot all that was
+read of the reference tags. It is there when the last of its reads has arrived. Of entries at one time for one row, those of a kind
+earlier in the alphabet come first: reference snapshots before snapshots.
 """
 
 from __future__ import annotations
@@ -14,10 +18,9 @@ import numpy as np
 
 from testbed.columns import Array, Table
 from testbed.recording import Recording
-from testbed.types import Counts, Heading, Odometry, Ranges, Reads, RoundCounts, Rounds
+from testbed.types import Counts, Heading, Odometry, Ranges, Reads, ReferenceSnapshots, RoundCounts, Rounds, Snapshots
 
 Stream = TypeVar("Stream", bound=Table)
-from testbed.guidance import Actions
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +158,77 @@ def _reference_reads(recordings: Sequence[Recording], hold: float) -> Feed:
     return _feed("reference_reads", reads.take(wanted), recording[wanted], lists, hold)
 
 
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Reads put into the cells (owner, instant, slot, antenna) of snapshots: N snapshots, in the order of owner and time."""
+
+    owner: Array  # (N,) a row, or a recording
+    t: Array  # (N,) s
+    t_arrival: Array  # (N,) s
+    at: tuple[Array, Array, Array]  # of each read: snapshot, slot, antenna
+    order: Array  # in which the reads are listed in `at`
+
+    @classmethod
+    def of(cls, reads: Reads, owner: Array, slot: Array) -> _Cells:
+        order = np.lexsort((reads.t, owner))
+        owner, t = owner[order], reads.t[order]
+        begins = np.ones(len(order), dtype=bool)
+        begins[1:] = (np.diff(owner) != 0) | (np.diff(t) != 0)
+        first = np.flatnonzero(begins)
+        arrival = np.maximum.reduceat(reads.t_arrival[order], first) if len(first) else np.empty(0)
+        return cls(owner[first], t[first], arrival, (np.cumsum(begins) - 1, slot[order], reads.antenna[order]), order)
+
+    def filled(self, values: Array, slots: int, antennas: int) -> Array:
+        """(N, slots, antennas): the reads' values in their cells, NaN elsewhere; of several in one cell the last that is a number."""
+        cells = np.full((len(self.t), slots, antennas), np.nan)
+        ordered = values[self.order]
+        there = ~np.isnan(ordered)
+        cells[tuple(place[there] for place in self.at)] = ordered[there]
+        return cells
+
+
+def _snapshots(recordings: Sequence[Recording], hold: float) -> Feed:
+    reads, recording = _joined(recordings, "reads", Reads)
+    tags, antennas = len(recordings[0].site.tags), len(recordings[0].site.antennas)
+    of, row, tag = _tags_of_rows(recordings)
+    slot = _position_in_list(row)
+    rows = int(_first_rows(recordings)[-1])
+    slots = int(slot.max(initial=0)) + 1
+    own = np.full((rows, slots), -1)
+    own[row, slot] = tag
+    lists = Lists.of(of * tags + tag, np.arange(len(row)), None, tags * len(recordings))  # of a read: which (row, slot) it is for
+    group = recording * tags + reads.tag
+    times = np.diff(lists.start)[group]
+    entry = np.repeat(np.arange(len(reads)), times)
+    nth = np.arange(len(entry)) - np.repeat(np.cumsum(times) - times, times)
+    pair = lists.row[lists.start[group[entry]] + nth]
+    mine = reads.take(entry)
+    cells = _Cells.of(mine, row[pair], slot[pair])
+    rssi, phase = (cells.filled(values, slots, antennas) for values in (mine.rssi, mine.phase))
+    every = np.arange(rows)
+    table = Snapshots(cells.t, cells.t_arrival, own[cells.owner], rssi, phase)
+    return _feed("snapshots", table, cells.owner, Lists.of(every, every, None, rows), hold)
+
+
+def _position_in_list(row: Array) -> Array:
+    """(N,) how many entries before have the same row; rows ascend."""
+    starts = np.flatnonzero(np.diff(row, prepend=-1))
+    return np.arange(len(row)) - np.repeat(starts, np.diff(np.append(starts, len(row))))
+
+
+def _reference_snapshots(recordings: Sequence[Recording], hold: float) -> Feed:
+    reads, recording = _joined(recordings, "reads", Reads)
+    site, first = recordings[0].site, _first_rows(recordings)
+    slot = np.full(len(site.tags), -1)
+    slot[site.references.tag] = np.arange(len(site.references))
+    wanted = slot[reads.tag] >= 0
+    reads, recording = reads.take(wanted), recording[wanted]
+    cells = _Cells.of(reads, recording, slot[reads.tag])
+    rssi = cells.filled(reads.rssi, len(site.references), len(site.antennas))
+    lists = Lists.of(np.repeat(np.arange(len(recordings)), np.diff(first)), np.arange(first[-1]), None, len(recordings))
+    return _feed("reference_snapshots", ReferenceSnapshots(cells.t, cells.t_arrival, rssi), cells.owner, lists, hold)
+
+
 def _by_target(name: str, kind: type[Table], column: str) -> Callable[[Sequence[Recording], float], Feed]:
     """The route of a stream with a column that holds the index of the target it is about, -1 where it is about none."""
 
@@ -218,10 +292,11 @@ def _counted(recordings: Sequence[Recording], rounds: Rounds, recording: Array, 
 _ROUTES: dict[str, Callable[[Sequence[Recording], float], Feed]] = {
     "reads": _reads,
     "reference_reads": _reference_reads,
+    "snapshots": _snapshots,
+    "reference_snapshots": _reference_snapshots,
     "rounds": _rounds,
     "odometry": _by_target("odometry", Odometry, "carrier"),
     "heading": _by_target("heading", Heading, "carrier"),
     "ranges": _by_target("ranges", Ranges, "target"),
 }
 KINDS = frozenset(_ROUTES)  # what an estimator may name in `consumes`
-    "actions": _by_target("actions", Actions, "target"),

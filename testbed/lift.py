@@ -35,9 +35,11 @@ class _Lifted:
     """B objects of a SingleTarget. A row whose numbers are not finite is LOST, whatever it says of itself."""
 
     method: ClassVar[type[SingleTarget]]
+    consumes: frozenset[str]
 
     def __init__(self, config: Any, site: Site, rng: RowRandom) -> None:
         self._config, self._site, self._rng = config, site, rng
+        self.consumes = self.method.consumed(config)
         self._make(range(min(1, len(rng.seed))))  # a site that the method can't work with is refused here, not at the start
 
     def _make(self, rows: Iterable[int]) -> list[SingleTarget]:

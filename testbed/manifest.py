@@ -14,10 +14,10 @@ from typing import Any
 
 from testbed.plugins import GROUPS, origin
 from testbed.scenario import Scenario, from_dict
+from testbed.scenario.scenario import OUTSIDE_HASH
 from testbed.worker import config_hash
 
 FORMAT = 1
-BLOCK = 4  # trials in a block, whatever the number of jobs: they share the estimators' calls
 DISTRIBUTION = "warehouse-radio-testbed"
 LIBRARIES = ("numpy", "scipy", "filterpy", "numba", "pybullet", "pyarrow")  # those that figures depend on
 
@@ -35,7 +35,7 @@ def describe(scenario: Scenario, keep: str, command: Sequence[str] = ()) -> dict
         },
         "seed": scenario.seed,
         "trials": scenario.trials,
-        "block": BLOCK,
+        "block": scenario.block,
         "points": [{"index": p.index, "set": p.set, "hash": p.scenario.hash} for p in scenario.points()],
         "estimators": [{"id": s.id, "kind": s.kind, "config": config_hash(s)} for s in scenario.estimators],
         "keep": keep,
@@ -101,7 +101,7 @@ def differences(old: dict[str, Any], new: dict[str, Any]) -> str:
     found = []
     if old["scenario"]["hash"] != new["scenario"]["hash"]:
         before, after = old["scenario"]["document"], new["scenario"]["document"]
-        parts = [key for key in {**before, **after} if before.get(key) != after.get(key) and key not in ("trials", "seed", "expect")]
+        parts = [key for key in {**before, **after} if before.get(key) != after.get(key) and key not in OUTSIDE_HASH]
         found.append(f"the scenario differs{' in ' + ', '.join(parts) if parts else ' in the defaults of a plug-in'}")
     if old["seed"] != new["seed"]:
         found.append(f"the seed was {old['seed']} and is {new['seed']}")

@@ -222,6 +222,15 @@ class Sensor(Protocol):
         ...
 
 
+@runtime_checkable
+class PlacesAnew(Protocol):
+    """A sensor whose antennas stand elsewhere in each trial, as many as `antennas` lists and under the same ids."""
+
+    def antennas_in(self, root: int, trial: int) -> Antennas:
+        """Where they stand in one trial: a function of its arguments alone. The installer knows it."""
+        ...
+
+
 # ---------------------------------------------------------------- estimators
 
 
@@ -229,11 +238,11 @@ class Sensor(Protocol):
 class Estimator(Protocol):
     """Turns events into estimates for B rows (trial, target) at once.
 
-    consumes : kinds of stream it wants ("reads", "odometry", ...).
+    consumes : kinds of stream it wants ("reads", "odometry", ...); of the class, or of the object where its configuration decides.
     """
 
     Config: ClassVar[type[BaseModel]]
-    consumes: ClassVar[frozenset[str]]
+    consumes: frozenset[str]
 
     def __init__(self, config: Any, site: Site, rng: RowRandom) -> None:
         """ValueError, with one clear sentence, for a site that the method can't work with."""
@@ -292,10 +301,16 @@ class Guide(Protocol):
 
 @runtime_checkable
 class Smoother(Protocol):
-    """An estimator that improves the past when the recording is over."""
+    """An estimator that improves the past when the recording is over.
+
+    smooths : whether it does under its configuration; then its track is what `smooth` says, not what it said on the way.
+    """
+
+    @property
+    def smooths(self) -> bool: ...
 
     def smooth(self, t: Array) -> Sequence[Estimate]:
-        """One estimate for each of the times t (K,)."""
+        """One estimate for each of the times t (K,) s, which are those that it was predicted to for its reports. Pure."""
         ...
 
 
@@ -311,6 +326,11 @@ class SingleTarget(ABC):
 
     def __init__(self, config: Any, site: Site, rng: np.random.Generator) -> None:
         self.config, self.site, self.rng = config, site, rng
+
+    @classmethod
+    def consumed(cls, config: Any) -> frozenset[str]:
+        """What it consumes under a configuration: `consumes`, unless a method lets its configuration decide."""
+        return cls.consumes
 
     @abstractmethod
     def start(self, t: float, mean: Array, covariance: Array) -> None:

@@ -9,8 +9,9 @@ import numpy as np
 
 from testbed import frames
 from testbed.columns import Array, Table
+from testbed.known_tags import references
 from testbed.plugins import load
-from testbed.protocols import ActorPlan, Sensed, Sensor, Surroundings, World
+from testbed.protocols import ActorPlan, PlacesAnew, Sensed, Sensor, Surroundings, World
 from testbed.quantity import Misplaced
 from testbed.radio.materials import MATERIALS, losses
 from testbed.recording import Recording, Trial
@@ -19,7 +20,7 @@ from testbed.rng import Counter, keys_of
 from testbed.route import Route
 from testbed.scene import WORLD, Scene, Truth
 from testbed.tagging import choose_targets, place_tags
-from testbed.types import Antennas, References, Site
+from testbed.types import Antennas, Site
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
@@ -41,6 +42,7 @@ class Simulator:
             self.tagged, on = place_tags(scenario, self.scene)
             self.aims = choose_targets(scenario, self.scene, self.tagged, on)
             self.sensors = [self._sensor(section) for section in scenario.sensors]
+            self._references = references(scenario, self.tagged)
             self._check_radios()
             self._check_cameras()
             materials = self._losses()
@@ -153,16 +155,20 @@ class Simulator:
 
     def site(self, root: int, index: int) -> Site:
         """What an installer would know, with this trial's survey error."""
-        antennas = Antennas.concatenate([sensor.antennas() for sensor in self.sensors])
+        antennas = Antennas.concatenate([_antennas(sensor, root, index) for sensor in self.sensors])
         radios = [f for f in (sensor.frequencies() for sensor in self.sensors) if len(f)]
         return Site(
             antennas=_surveyed(antennas, self.scenario.survey, root, index),
             tags=self.tagged.tags,
             frequencies=radios[0] if radios else np.empty(0),
-            references=References.empty(),
+            references=self._references,
             obstacles=self.scene.static_boxes(),
             roads=self.scene.roads,
         )
+
+
+def _antennas(sensor: Sensor, root: int, trial: int) -> Antennas:
+    return sensor.antennas_in(root, trial) if isinstance(sensor, PlacesAnew) else sensor.antennas()
 
 
 def _plan(section: Any) -> ActorPlan:

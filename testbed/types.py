@@ -18,8 +18,9 @@ from testbed.geometry import Boxes, Roads
 from testbed.rng import RowRandom
 
 __all__ = [
-    "POSITION", "POSITION_VELOCITY", "Antennas", "Array", "Counts", "Estimate", "Event", "Heading", "Innovations", "Odometry",
-    "Prior", "Ranges", "Reads", "References", "RoundCounts", "Rounds", "Site", "Status", "Stream", "Tags", "Targets", "Track", "UpdateInfo",
+    "POSITION", "POSITION_VELOCITY", "Antennas", "Array", "Counts", "Estimate", "Event", "Heading", "Innovations", "Odometry", "Prior",
+    "Ranges", "Reads", "ReferenceSnapshots", "References", "RoundCounts", "Rounds", "Site", "Snapshots", "Status", "Stream", "Tags",
+    "Targets", "Track", "UpdateInfo",
 ]  # fmt: skip
 
 POSITION = ("x", "y", "z")  # m, world frame
@@ -127,6 +128,29 @@ class Ranges(Table):
     anchor: Array = column("int32")
     target: Array = column("int32")
     range: Array = column("float64", unit="m")
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshots(Table):
+    """All that the antennas read of a target's tags at one and the same instant; the event of the stream "snapshots".
+
+    Of reads alone, put together: M antennas of the site by T tags of the target (those of the target with the most; -1 for none).
+    """
+
+    t: Array = column("float64", unit="s")
+    t_arrival: Array = column("float64", unit="s, of the last of its reads")
+    tag: Array = column("int32", ("N", "T"))
+    rssi: Array = column("float64", ("N", "T", "M"), "dBm, NaN where not heard")
+    phase: Array = column("float64", ("N", "T", "M"), "rad, NaN where not heard")
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceSnapshots(Table):
+    """All that the antennas read of the site's R reference tags at one instant; the event of the stream "reference_snapshots"."""
+
+    t: Array = column("float64", unit="s")
+    t_arrival: Array = column("float64", unit="s, of the last of its reads")
+    rssi: Array = column("float64", ("N", "R", "M"), "dBm, NaN where not heard")
 
 
 Stream = Reads | Rounds | Counts | Odometry | Heading | Ranges

@@ -76,7 +76,7 @@ class _Case:
 
     def steps(self) -> list[Batch]:
         ticks = np.arange(int(self.recordings[0].duration * REPORT_HZ) + 1) / REPORT_HZ
-        return list(Merge(feeds(self.recordings, self.cls.consumes, 0.0), ticks, self.prior.t, False).batches())
+        return list(Merge(feeds(self.recordings, self.made()[0].consumes, 0.0), ticks, self.prior.t, False).batches())
 
     def sound(self, track: Track, when: str) -> None:
         """Finite where not LOST, a covariance symmetric and not negative, a status that there is."""

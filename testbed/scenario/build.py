@@ -20,7 +20,10 @@ from testbed.scenario.scenario import Point, Scenario
 from testbed.scenario.source import Review, Source
 from testbed.scenario.wording import shown
 
-_PLAIN = ("name", "title", "seed", "trials", "duration_s", "prior", "report_hz", "hold_s", "step_hz", "truth_hz", "rays", "survey", "sweep")
+_PLAIN = (
+    "name", "title", "seed", "trials", "block", "duration_s", "prior", "report_hz", "hold_s", "step_hz", "truth_hz", "rays", "survey",
+    "sweep",
+)  # fmt: skip
 
 
 def build(document: Any, source: Source, text: str, path: Path | None) -> Scenario:
@@ -101,6 +104,7 @@ def _whole(raw: dict[str, Any], review: Review, text: str, path: Path | None) ->
     listed: dict[str, Any] = {group: tuple(found) for group, found in groups.items()}
     return Scenario(
         **plain, **listed, world=world, metrics=tuple(metrics), cameras=tuple(cameras), tags=rules, targets=tuple(document.targets),
+        references=tuple(document.references),
         expect=expect, document=raw, text=text, path=path, source=review.source,
     )  # fmt: skip
 

@@ -172,12 +172,14 @@ class Document(Config):
     title: Annotated[str, Field(max_length=200)] = ""
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     trials: Annotated[int, Field(ge=1, le=1_000_000)]
+    block: Annotated[int, Field(ge=1, le=1_000)] = 4
     duration_s: Annotated[Seconds, Field(gt=0, le=86_400)]
     world: dict[str, Any]
     actors: Annotated[list[Any], Field(max_length=1000)] = Field(default_factory=list)
     sensors: Annotated[list[Any], Field(max_length=1000)] = Field(default_factory=list)
     tags: Annotated[list[Any], Field(max_length=MAX_TAGS)] = Field(default_factory=list)
     targets: Annotated[list[Glob], Field(max_length=1000)] = Field(default_factory=list)
+    references: Annotated[list[Glob], Field(max_length=1000)] = Field(default_factory=list)
     prior: PriorModel = PriorModel()
     estimators: Annotated[list[Any], Field(max_length=100)] = Field(default_factory=list)
     metrics: Annotated[list[Any], Field(max_length=100)] | None = None

@@ -21,7 +21,7 @@ from testbed.scenario.problems import Loc, ScenarioError
 from testbed.scenario.published import Publication
 from testbed.scenario.source import Source
 
-_OUTSIDE_HASH = ("trials", "seed", "expect", "published", "files", "cameras")  # files are hashed as the tags they hold
+OUTSIDE_HASH = ("trials", "seed", "expect", "block", "published", "files", "cameras")  # files are hashed as the tags they hold
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,7 @@ class Scenario:
     title: str
     seed: int
     trials: int
+    block: int
     duration_s: float
     world: Section
     actors: tuple[ActorSection, ...]
@@ -46,6 +47,7 @@ class Scenario:
     cameras: tuple[CameraSpec, ...]
     tags: tuple[TagRule, ...]
     targets: tuple[str, ...]
+    references: tuple[str, ...]
     prior: PriorModel
     report_hz: float
     hold_s: float
@@ -75,7 +77,7 @@ class Scenario:
         content = {
             name: _canonical(value)
             for name, value in ((n, getattr(self, n)) for n in self.__dataclass_fields__ if self.__dataclass_fields__[n].compare)
-            if name not in _OUTSIDE_HASH
+            if name not in OUTSIDE_HASH
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()).hexdigest()
 

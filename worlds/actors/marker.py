@@ -13,7 +13,7 @@ from worlds.parts import MATERIALS, Builder
 
 
 class Marker:
-    """A cube of `size_m` about its own origin, which is not on the floor but where the thing is. No mounts: tags have positions.
+    """A cube of `size_m` that stands on its own origin, which may be above the floor. No mounts: tags have positions.
 
     Left out: everything that a body does to a radio link, unless it stands in the way of one.
     """
@@ -25,7 +25,7 @@ class Marker:
         self.config = config
         half = config.size_m / 2
         self._built = Builder()
-        self._built.box("carton", (-half, -half, -half), (half, half, half))
+        self._built.box("carton", (-half, -half, 0.0), (half, half, config.size_m))
 
     def boxes(self) -> tuple[Boxes, tuple[str, ...]]:
         """One box in the body frame and the names of the materials."""

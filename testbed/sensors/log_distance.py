@@ -1,0 +1,167 @@
+"""A reader as a formula: at even instants every antenna hears every tag at once, by the logarithm of distance, with normal noise.
+
+    RSSI = C - 10 n log10(D / 1 m) + N(0, σ)
+
+with D the distance d or, where the antennas are `directional`, d / cos θ: on spheres through the antenna, centred on its axis, the level
+is the same (Nick and Götze, section 4). That is a one-way pattern cos^(n/2). Left out: all that radio does in a hall. It is for
+studies of estimators alone, whose truth and noise are known to the last digit.
+"""
+
+from __future__ import annotations
+
+from fnmatch import fnmatchcase
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from testbed import frames
+from testbed.columns import Array
+from testbed.plugins import suggest
+from testbed.protocols import Sensed, Surroundings
+from testbed.quantity import Config, DecibelMilliwatts, Decibels, Hertz, Point3
+from testbed.recording import mounted
+from testbed.rng import Counter, keys_of, stream
+from testbed.scene import WORLD, Scene
+from testbed.sensors.carrier import instants
+from testbed.types import Antennas, Reads
+
+LEAST_COSINE = 0.05  # a directional antenna hears nothing further off its axis than this
+NEAR = 1e-3  # m: nearer than this is as near
+ISOTROPIC = np.pi  # rad: the beam width that stands for no pattern at all
+
+
+class AntennaPlace(Config):
+    """Where an antenna is, and where it looks."""
+
+    position_m: Point3
+    aim_m: Point3 | None = None
+
+    @model_validator(mode="after")
+    def _aims_elsewhere(self) -> AntennaPlace:
+        if self.aim_m == self.position_m:
+            raise ValueError("aim_m is where the antenna is: aim it elsewhere")
+        return self
+
+
+class LogDistanceConfig(Config):
+    """`count` takes the first so many antennas, `tags` is a pattern over tag ids.
+
+    Noise is a function of the instant, the antenna's place in the list, the tag, and `draws`: two sensors of one `draws` (their own
+    ids, where left out) have the same. Each trial moves places and aims by `jitter_m` * U(-1, 1) an axis; the installer knows where to.
+    """
+
+    antennas: Annotated[list[AntennaPlace], Field(min_length=1, max_length=1000)]
+    count: Annotated[int, Field(ge=1, le=1000)] | None = None
+    tags: Annotated[str, Field(min_length=1, max_length=200)] = "*"
+    rate_hz: Annotated[Hertz, Field(gt=0, le=1000)] = 10.0
+    reference_dbm: DecibelMilliwatts = -40.0
+    path_loss_exponent: Annotated[float, Field(gt=0, le=12)] = 4.0
+    sigma_db: Annotated[Decibels, Field(ge=0, le=40)] = 1.0
+    directional: bool = False
+    draws: Annotated[str, Field(min_length=1, max_length=100)] | None = None
+    jitter_m: Point3 = (0.0, 0.0, 0.0)
+    aim_jitter_m: Point3 = (0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _fits(self) -> LogDistanceConfig:
+        if self.count is not None and self.count > len(self.antennas):
+            raise ValueError(f"count asks for {self.count} antennas of the {len(self.antennas)} in the list")
+        if self.directional:
+            blind = next((i for i, a in enumerate(self.antennas) if a.aim_m is None), None)
+            if blind is not None:
+                raise ValueError(f"antennas.{blind} looks nowhere: a directional antenna needs aim_m")
+        return self
+
+
+class LogDistance:
+    """Reads every 1 / rate_hz s from t = 0. ValueError for a pattern of tags that nothing can fit is left to the trial: tags come later."""
+
+    Config: ClassVar[type[LogDistanceConfig]] = LogDistanceConfig
+    produces: ClassVar[frozenset[str]] = frozenset({"reads"})
+
+    def __init__(self, config: LogDistanceConfig, id: str, scene: Scene) -> None:
+        self._config, self._id = config, id
+        self._places = config.antennas[: config.count or len(config.antennas)]
+
+    def antennas(self) -> Antennas:
+        """The antennas as the scenario lists them, before each trial's jitter."""
+        return self._described(*self._listed())
+
+    def antennas_in(self, root: int, trial: int) -> Antennas:
+        """The antennas of one trial."""
+        return self._described(*self._moved(root, trial))
+
+    def frequencies(self) -> Array:
+        """None: the law has no wavelength."""
+        return np.empty(0)
+
+    def sense(self, around: Surroundings, first_antenna: int) -> Sensed:
+        """All reads of a trial, in the order of instants, antennas, tags."""
+        config = self._config
+        tag = self._tags(around)
+        t = instants(around.duration, config.rate_hz)
+        position, aim = self._moved(around.root, around.trial)
+        apart = self._apart(around, tag, t)[:, None] - position[:, None]  # (K, antennas, tags, 3)
+        distance = np.maximum(np.linalg.norm(apart, axis=-1), NEAR)
+        heard = np.ones(distance.shape, dtype=bool)
+        if config.directional:
+            axis = (aim - position) / np.linalg.norm(aim - position, axis=1, keepdims=True)
+            cosine = np.einsum("kmti,mi->kmt", apart, axis) / distance
+            heard = cosine > LEAST_COSINE
+            distance = distance / np.where(heard, cosine, 1.0)
+        rssi = config.reference_dbm - 10 * config.path_loss_exponent * np.log10(distance) + self._noise(around, tag, len(t))
+        k, m, which = np.nonzero(heard)
+        return Sensed({"reads": Reads(t=t[k], t_arrival=t[k], antenna=m + first_antenna, tag=tag[which], rssi=rssi[heard])})
+
+    def _tags(self, around: Surroundings) -> Array:
+        ids = [str(id) for id in around.tagged.tags.id]
+        found = [i for i, id in enumerate(ids) if fnmatchcase(id, self._config.tags)]
+        if not found and ids:
+            raise ValueError(f"sensor {self._id}: no tag is named {self._config.tags!r}{suggest(self._config.tags, ids[:1000])}")
+        return np.array(found, dtype=np.int64)
+
+    def _apart(self, around: Surroundings, tag: Array, t: Array) -> Array:
+        """(K, tags, 3) m: where the tags are at the instants."""
+        position = np.empty((len(t), len(tag), 3))
+        for i, one in enumerate(tag):
+            body, pose = int(around.tagged.body[one]), around.tagged.pose[one]
+            position[:, i] = pose[:3] if body == WORLD else mounted(around.truth, body, pose, t)[:, :3]
+        return position
+
+    def _noise(self, around: Surroundings, tag: Array, instants: int) -> Array:
+        if self._config.sigma_db == 0:
+            return np.zeros((instants, len(self._places), len(tag)))
+        draws = Counter(around.root, around.trial, f"sensors.{self._config.draws or self._id}.rssi")
+        key = keys_of(around.tagged.tags.id[tag])
+        normal = draws.normal(np.arange(instants)[:, None, None], np.arange(len(self._places))[:, None], key)
+        return self._config.sigma_db * normal
+
+    def _listed(self) -> tuple[Array, Array]:
+        """(antennas, 3) m each: places, and what they look at (a metre along +x where they look nowhere)."""
+        position = np.array([a.position_m for a in self._places])
+        aim = np.array([(x + 1.0, y, z) if a.aim_m is None else a.aim_m for a in self._places for x, y, z in [a.position_m]])
+        return position, aim
+
+    def _moved(self, root: int, trial: int) -> tuple[Array, Array]:
+        """As `_listed`, with the trial's jitter; sensors of one `draws` are moved alike."""
+        position, aim = self._listed()
+        if not any((*self._config.jitter_m, *self._config.aim_jitter_m)):
+            return position, aim
+        random = stream(root, trial, f"sensors.{self._config.draws or self._id}.places")
+        shift = random.uniform(-1.0, 1.0, (len(self._config.antennas), 2, 3))[: len(position)]
+        return position + np.array(self._config.jitter_m) * shift[:, 0], aim + np.array(self._config.aim_jitter_m) * shift[:, 1]
+
+    def _described(self, position: Array, aim: Array) -> Antennas:
+        config, n = self._config, len(position)
+        half_power = 2 * np.arccos(0.5 ** (2 / config.path_loss_exponent))  # of cos^(n/2), one way
+        return Antennas(
+            id=np.array([f"{self._id}.{i + 1}" for i in range(n)]),
+            position=position,
+            quaternion=frames.looking_at(position, aim),
+            gain=np.zeros(n),
+            beamwidth=np.full(n, half_power if config.directional else ISOTROPIC),
+            front_to_back=np.full(n, 200.0),
+            power=np.zeros(n),
+            reader=np.full(n, self._id),
+        )
