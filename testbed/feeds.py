@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from testbed.columns import Array, Table
+from testbed.guidance import Actions
 from testbed.recording import Recording
 from testbed.types import Counts, Heading, Odometry, Ranges, Reads, ReferenceSnapshots, RoundCounts, Rounds, Snapshots
 
@@ -298,5 +299,6 @@ _ROUTES: dict[str, Callable[[Sequence[Recording], float], Feed]] = {
     "odometry": _by_target("odometry", Odometry, "carrier"),
     "heading": _by_target("heading", Heading, "carrier"),
     "ranges": _by_target("ranges", Ranges, "target"),
+    "actions": _by_target("actions", Actions, "target"),
 }
 KINDS = frozenset(_ROUTES)  # what an estimator may name in `consumes`
