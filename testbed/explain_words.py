@@ -95,14 +95,23 @@ def _silenced(serving: Serving) -> str:
 
 
 def _not_served(e: Explanation, serving: Serving) -> str:
-    busy = f"the reader was serving {serving.elsewhere}" if serving.elsewhere else "the reader was changing from one antenna to the next"
+    busy = f"was serving {serving.elsewhere}" if serving.elsewhere else "was changing from one antenna to the next"
     visits = [(name, v) for name, v in (("before", serving.before), ("after", serving.after)) if v is not None]
-    told = [f"{'read' if v.reads_s else 'not read'} in its visit {name}, {v.start_s:.3f} to {v.end_s:.3f} s" for name, v in visits]
-    less = f". It serves {serving.antennas} antennas in turn: fewer, or shorter visits, come by more often" if serving.antennas > 1 else ""
     link = f"The link itself holds, with {e.budget.forward_db:.1f} dB to spare"
-    return (
-        f"not read at {e.t:g} s itself: {busy}, not {e.antenna}; {' and '.join(told) or 'it never serves it in this trial'}. {link}{less}"
-    )
+    if visits and all(v.reads_s for _, v in visits):
+        told = " and ".join(f"{name} ({v.start_s:.3f} to {v.end_s:.3f} s)" for name, v in visits)
+        return f"read in {e.antenna}'s visit {told}; at {e.t:g} s itself the reader {busy}. {link}"
+    told = " and ".join(f"{_outcome(v)} in its visit {name}, {v.start_s:.3f} to {v.end_s:.3f} s" for name, v in visits)
+    less = f". It serves {serving.antennas} antennas in turn: fewer, or shorter visits, come by more often" if serving.antennas > 1 else ""
+    return f"not read at {e.t:g} s itself: the reader {busy}, not {e.antenna}; {told or 'it never serves it in this trial'}. {link}{less}"
+
+
+def _outcome(visit: Visit) -> str:
+    if visit.reads_s:
+        return "read"
+    if not visit.asked:
+        return "not asked"
+    return f"not read ({'its answer was lost' if visit.lost_s else 'without a slot of its own' if visit.able else 'too weak to take part'})"
 
 
 def _no_slot(visit: Visit) -> str:

@@ -226,7 +226,11 @@ def test_an_antenna_that_is_not_served_at_that_time():
     assert other.serving.now is None
     assert other.serving.elsewhere == "a1"
     assert other.serving.before.end_s < t < other.serving.after.start_s
-    assert "the reader was serving a1, not a0; read in its visit before" in verdict(other)
+    assert verdict(other).startswith("read in a0's visit before (")
+    assert f"at {t:g} s itself the reader was serving a1. The link itself holds" in verdict(other)
+    missed = replace(other, serving=replace(other.serving, before=replace(other.serving.before, reads_s=(), able=False)))
+    assert "the reader was serving a1, not a0; not read (too weak to take part) in its visit before" in verdict(missed)
+    assert "It serves 2 antennas in turn" in verdict(missed)
     assert own.reason is Reason.READ
     assert own.serving.now.start_s <= t <= own.serving.now.end_s
 
