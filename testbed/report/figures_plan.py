@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, PathPatch
+from matplotlib.path import Path
 from matplotlib.transforms import Bbox
 
 from testbed import frames
@@ -67,8 +68,8 @@ def floor_plan(case: Case, styles: Styles, name: str, where: str) -> Drawing:
     outside = _tracks(axes, case, styles, low, high)
     legend(figure, handles)
     settle(figure)
-    marks = [_mark(axes, spot) for spot, _ in numbered]
-    homeless = place(axes, [*_gate_labels(standing), *_antenna_labels(numbered), *_rack_labels(standing), *_mover_labels(case)], marks)
+    marks = [mark(axes, spot) for spot, _ in numbered]
+    homeless = place(axes, [*gate_labels(standing), *antenna_labels(numbered), *rack_labels(standing), *_mover_labels(case)], marks)
     caption = _caption(case, where, numbered, outside, homeless)
     return drawing(figure, name, title, caption, frames=[frame_of(axes)])
 
@@ -97,8 +98,12 @@ def _hall(axes: Axes, case: Case, standing: list[Footprint]) -> None:
 
 
 def antenna_groups(case: Case) -> list[tuple[Array, float, list[int]]]:
-    """Antennas that are one spot from above: (its place (2,) m, yaw of the first, their indices), as they are at the start."""
-    pose = case.near.at(case.trial.truth, np.arange(len(case.antennas)), np.zeros(len(case.antennas)))
+    """The antennas of a recording as they are at the start, `grouped`."""
+    return grouped(case.near.at(case.trial.truth, np.arange(len(case.antennas)), np.zeros(len(case.antennas))))
+
+
+def grouped(pose: Array) -> list[tuple[Array, float, list[int]]]:
+    """Antennas at poses (A, 7) that are one spot from above: (its place (2,) m, yaw of the first, their indices)."""
     groups: list[tuple[Array, float, list[int]]] = []
     for i, p in enumerate(pose):
         for spot, _, members in groups:
@@ -113,22 +118,24 @@ def antenna_groups(case: Case) -> list[tuple[Array, float, list[int]]]:
 def _antennas(axes: Axes, case: Case, size: float) -> list[tuple[Array, str]]:
     """Triangles about `size` m that point where antennas look; returns each spot with the numbers of its antennas."""
     groups = antenna_groups(case)
+    axes.add_patch(PathPatch(triangles(groups, size), facecolor=palette.INK, edgecolor=palette.PAPER, linewidth=0.5, zorder=6))
+    return [(spot, numbers(members)) for spot, _, members in groups]
+
+
+def triangles(groups: list[tuple[Array, float, list[int]]], size: float) -> Path:
+    """A triangle about `size` m for each group of antennas, that points where they look."""
     corners = size * np.array([[1.35, 0.0], [-0.75, 0.7], [-0.75, -0.7]])
-    triangles = []
-    for spot, yaw, _ in groups:
-        turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
-        triangles.append(corners @ turn + spot)
-    axes.add_patch(PathPatch(shape(triangles), facecolor=palette.INK, edgecolor=palette.PAPER, linewidth=0.5, zorder=6))
-    return [(spot, _numbers(members)) for spot, _, members in groups]
+    turns = [np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]]) for _, yaw, _ in groups]
+    return shape(corners @ turn + spot for turn, (spot, _, _) in zip(turns, groups, strict=True))
 
 
-def _mark(axes: Axes, spot: Array) -> Bbox:
+def mark(axes: Axes, spot: Array) -> Bbox:
     """What an antenna's triangle covers of the picture, where no label may stand."""
     u, v = axes.transData.transform(spot)
     return Bbox.from_extents(u - MARK, v - MARK, u + MARK, v + MARK)
 
 
-def _numbers(members: list[int]) -> str:
+def numbers(members: list[int]) -> str:
     """ "1-3, 7" of [0, 1, 2, 6]."""
     runs: list[list[int]] = []
     for i in members:
@@ -208,7 +215,7 @@ def _handles(case: Case, styles: Styles) -> list[Line2D | Patch]:
 # ---------------------------------------------------------------- labels and caption
 
 
-def _gate_labels(standing: list[Footprint]) -> list[Label]:
+def gate_labels(standing: list[Footprint]) -> list[Label]:
     """Beside the ends of each gate, where nobody goes through."""
     return [
         Label(shorten(f.name, 18), [(float(x), float(y)) for x, y in (*_ends(f.outline), f.outline.mean(axis=0))], around(16.0), bold=True)
@@ -225,11 +232,11 @@ def _ends(outline: Array) -> Sequence[Array]:
     return [middle + along * reach.max(), middle + along * reach.min()]
 
 
-def _antenna_labels(numbered: list[tuple[Array, str]]) -> list[Label]:
+def antenna_labels(numbered: list[tuple[Array, str]]) -> list[Label]:
     return [Label(text, [(float(p[0]), float(p[1]))], around(11.0) + around(16.0), size=7.0) for p, text in numbered]
 
 
-def _rack_labels(standing: list[Footprint]) -> list[Label]:
+def rack_labels(standing: list[Footprint]) -> list[Label]:
     found = []
     for f in standing:
         if f.kind == "rack":
