@@ -12,7 +12,7 @@ from typing import Annotated, Any, TextIO
 import typer
 from rich.console import Console
 
-from testbed import console, plugins
+from testbed import cli_coverage, console, plugins
 from testbed.evaluate import plain
 from testbed.scenario import ScenarioError
 
@@ -277,6 +277,9 @@ def explain(
         _print_json({"verdict": words.verdict(found), **found.document()})
     else:
         words.show(_out(), found)
+
+
+app.command("coverage")(cli_coverage.coverage)
 
 
 @app.command()

@@ -38,14 +38,14 @@ class Silent:
 class Lines:
     """A line at the start, at about every tenth of the trials but not more often than each `every_s` seconds, and at the end."""
 
-    def __init__(self, stream: IO[str], every_s: float = 5.0) -> None:
-        self._stream, self._every = stream, every_s
+    def __init__(self, stream: IO[str], every_s: float = 5.0, of: str = "trials") -> None:
+        self._stream, self._every, self._of = stream, every_s, of
 
     def start(self, title: str, total: int, done: int) -> None:
         self._title, self._total, self._done, self._before, self._failures = title, total, done, done, 0
         self._begun = self._said = monotonic()
         self._next = done + max(total // 10, 1)
-        self.note(f"{title}: {total} trials" + (f", {done} of them there already" if done else ""))
+        self.note(f"{title}: {total} {self._of}" + (f", {done} of them there already" if done else ""))
 
     def advance(self, trials: int, failures: int) -> None:
         self._done += trials
@@ -65,7 +65,7 @@ class Lines:
 
     def _count(self) -> str:
         failed = f", {self._failures} failure{'s' if self._failures > 1 else ''}" if self._failures else ""
-        return f"{self._done} of {self._total} trials{failed}"
+        return f"{self._done} of {self._total} {self._of}{failed}"
 
 
 class Bar:
@@ -99,10 +99,10 @@ class Bar:
         self._bar.stop()
 
 
-def choose(stream: IO[str] | None = None) -> Progress:
-    """A bar where `stream` (stderr unless told otherwise) is a terminal, else lines."""
+def choose(stream: IO[str] | None = None, of: str = "trials") -> Progress:
+    """A bar where `stream` (stderr unless told otherwise) is a terminal, else lines that count trials, or what `of` says."""
     out: IO[str] = sys.stderr if stream is None else stream
-    return Bar(out) if out.isatty() else Lines(out)
+    return Bar(out) if out.isatty() else Lines(out, of=of)
 
 
 def _span(seconds: float) -> str:
