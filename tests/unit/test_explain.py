@@ -160,6 +160,14 @@ def test_a_wall_between_is_named_with_its_loss_and_without_it_the_tag_is_read():
     assert verdict(free).startswith("read: ")
 
 
+def test_of_several_things_in_the_way_the_one_that_takes_most_is_named():
+    box = ("box", "carton", (4.0, -5, 0), (4.1, 5, 4))
+    e = seen([box, WALL], where={"places": ((9.0, 0.0, 1.5),)})
+    obstacles = e.budget.direct.passage.obstacles
+    assert [o.body for o in obstacles] == ["wall", "box"]  # in order of the path
+    assert f"wall (concrete) takes {obstacles[0].loss_db:.0f} dB of the {sum(o.loss_db for o in obstacles):.0f} dB" in verdict(e)
+
+
 def test_over_an_edge_the_wave_goes_round_and_both_ways_are_told():
     plate = ("plate", "steel", (2.99, -9, 0), (3.01, 9, 1.7))
     passage = seen([plate]).budget.direct.passage
