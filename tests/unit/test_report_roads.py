@@ -1,0 +1,52 @@
+"""The report of a map-matching run: curves over all runs, settle times with lost runs kept, the cloud on the roads."""
+
+import numpy as np
+import pytest
+from road_recordings import PAPER
+
+import testbed
+from testbed.report import page
+from testbed.report.figures_roads import curves, settle_times, settling
+from testbed.report.study import read
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    document = {
+        **PAPER,
+        "trials": 2,
+        "duration_s": "0.25 min",
+        "estimators": [{"id": "paper", "kind": "mapmatch_particles"}],
+        "sweep": {"estimators.paper.kappa": [1.0, 0.1]},
+        "metrics": [{"kind": "position_error", "dims": 2}, {"kind": "road_segment"}, {"kind": "settle_time"}, {"kind": "error_curve"}],
+    }
+    out = tmp_path_factory.mktemp("run") / "out"
+    testbed.run(document, out=out)
+    return out
+
+
+def test_the_page_shows_curves_settle_times_clouds_and_roads(folder):
+    text = page.page(read(folder))
+    for name in ("curves", "settling", "clouds-0", "clouds-1"):
+        assert f'id="{name}"' in text
+    assert 'data-layer="roads"' in text
+    assert "t = 0 s" in text
+    assert "error curve" not in text  # forty numbers a curve are drawn, not listed
+
+
+def test_the_curves_are_means_over_trials(folder):
+    study = read(folder)
+    drawn = curves(study, "c")
+    assert drawn is not None
+    assert "estimators.paper.kappa = 0.1" in drawn.svg
+    here = study.rows["point"] == 0
+    assert np.isfinite(study.rows["error_curve_m.s00"][here]).all()
+
+
+def test_lost_runs_are_kept_as_never(folder):
+    rows = {"settle_s": np.array([12.0, np.nan, 3.0, np.nan]), "lost_runs": np.array([0.0, 1.0, 0.0, np.nan])}
+    np.testing.assert_array_equal(settle_times(rows, np.ones(4, dtype=bool)), [3.0, 12.0, np.inf])
+    drawn = settling(read(folder), "s")
+    assert drawn is not None
+    assert "median" in drawn.caption
+    assert "runs lost" in drawn.caption
