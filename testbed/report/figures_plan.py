@@ -33,6 +33,7 @@ from testbed.report.figures import (
     shorten,
     styled,
 )
+from testbed.report.figures_roads import draw_roads
 from testbed.report.labels import Label, around, place
 from testbed.report.plan import Footprint
 
@@ -63,6 +64,7 @@ def floor_plan(case: Case, styles: Styles, name: str, where: str) -> Drawing:
     axes.set(xlabel="x (m)", ylabel="y (m)")
     standing = plan.standing(case.scene)
     _hall(axes, case, standing)
+    draw_roads(axes, case.scene.roads)
     numbered = _antennas(axes, case, MARK * float(wide) / (inner * DPI))
     _movers(axes, case)
     outside = _tracks(axes, case, styles, low, high)
@@ -208,6 +210,8 @@ def _handles(case: Case, styles: Styles) -> list[Line2D | Patch]:
     found += [styles.handle(id) for id in styles.ids if id in shown]
     if shown:
         found.append(Patch(facecolor="none", edgecolor=palette.INK, label="95 % ellipses of an estimate"))
+    if case.scene.roads is not None:
+        found.append(Line2D([], [], color=palette.SKY, linewidth=1.1, label="road"))
     found.append(Line2D([], [], color=palette.INK, marker=">", linestyle="none", label="antenna"))
     return found
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from testbed.evaluate import Interval, Summary, metric_columns
 from testbed.report.amounts import NOTHING, counted, interval, limits, number, seconds
+from testbed.report.figures_roads import CURVE_COLUMNS
 from testbed.report.figures_run import spelled
 from testbed.report.study import Study
 
@@ -119,6 +120,7 @@ def everything(study: Study, point: int) -> Grid:
     """Every figure of merit in a row, estimators in columns."""
     here = study.of(point)
     columns = [c for c in metric_columns(study.rows) if any(c in s.statistics and s.statistics[c].n for s in here)]
+    columns = [c for c in columns if not c.startswith(CURVE_COLUMNS)]
     rows = [
         (Cell(spelled(c), (c,)), *(mean_cell(s.statistics.get(c), is_share(c), (f"n = {s.statistics[c].n}",)) for s in here))
         for c in columns

@@ -25,6 +25,7 @@ from testbed.report.cases import Case
 from testbed.report.figures import Drawing, Styles
 from testbed.report.figures_plan import floor_plan
 from testbed.report.figures_radio import phase_by_range, radio_strips
+from testbed.report.figures_roads import clouds, curves, settling
 from testbed.report.figures_run import error_distribution, sweep
 from testbed.report.figures_time import consistency, error_over_time, signal_strength
 from testbed.report.grids import Grid
@@ -132,6 +133,7 @@ def page(study: Study) -> str:
         "points": points,
         "why_none": "every trial failed, see below." if study.failures else "the scenario names no estimator, or no target.",
         "sweep": sweep(study, styles, "sweep"),
+        "over_runs": [drawn for drawn in (curves(study, "curves"), settling(study, "settling")) if drawn],
         "claims": claims,
         "papers": papers,
         "first": shown[0] if shown else None,
@@ -237,9 +239,10 @@ def _shown(case: Case, study: Study, styles: Styles, index: int) -> Shown:
     where = _heading(study, case.kept)
     plan = floor_plan(case, styles, f"plan-{index}", where)
     errors = error_over_time(case, styles, f"errors-{index}", where)
-    figures = [signal_strength(case, f"rssi-{index}", where), consistency(case, styles, f"nees-{index}", where)]
+    figures = [clouds(case, styles, f"clouds-{index}", where)]
+    figures += [signal_strength(case, f"rssi-{index}", where), consistency(case, styles, f"nees-{index}", where)]
     if not index:  # they are large: one recording's are enough to look at
-        figures[1:1] = [*radio_strips(case, f"radio-{index}", where), phase_by_range(case, f"phase-{index}", where)]
+        figures[2:2] = [*radio_strips(case, f"radio-{index}", where), phase_by_range(case, f"phase-{index}", where)]
     pictures = album(case, styles, moving=index == 0)
     shown = Shown(where, plan, errors, tuple(f for f in figures if f), pictures.pictures, pictures.note)
     if index:
