@@ -34,7 +34,7 @@ class Cloud:
         self._weighed = np.zeros(prior.rows, dtype=bool)
         everyone = np.arange(prior.rows)
         z = np.empty((prior.rows, 4, particles))
-        _normals(self._draw(everyone), z)
+        normals(self._draw(everyone), z)
         covariance = prior.covariance[:, FLOOR[:, None], FLOOR]
         self.x = prior.mean[:, FLOOR, None] + root(covariance) @ z
         self.box = np.empty((prior.rows, 4))
@@ -157,7 +157,7 @@ def normal_of(key, index):
 
 
 @njit(cache=True)
-def _normals(keys, z):
+def normals(keys, z):
     rows, axes, m = z.shape
     for b in range(rows):
         for k in range(axes):

@@ -37,7 +37,8 @@ class ReaderGrid(BaseHall):
         """The hall, its readers, and what walks in it.
 
         A walker starts in the middle of the floor (start_margin_m from the walls) with speed_mps in any direction, and then moves with
-        continuous white-noise acceleration; a track that comes within margin_m of the walls is drawn again, as a whole. With stop_s
+        continuous white-noise acceleration; a track that comes within margin_m of the walls, or rack_margin_m of a rack, is drawn again,
+        as a whole. With stop_s
         above 0 it stops at random, for stop_s on average, after go_s on average, and sets off again with speed_mps in any direction.
         """
 
@@ -58,6 +59,7 @@ class ReaderGrid(BaseHall):
         acceleration_density_m2ps3: Annotated[float, Field(ge=0, le=10)] = 0.1
         start_margin_m: Annotated[Metres, Field(ge=0)] = 8.0
         margin_m: Annotated[Metres, Field(ge=0)] = 1.0
+        rack_margin_m: Annotated[Metres, Field(ge=0, le=5)] = 0.4
         stop_s: Annotated[Seconds, Field(ge=0, le=3600)] = 0.0
         go_s: Annotated[Seconds, Field(gt=0, le=3600)] = 10.0
 
@@ -74,6 +76,7 @@ class ReaderGrid(BaseHall):
             return self
 
     config: Config
+    _routed: tuple[Scene, Scene] | None = None
 
     def parts(self) -> list[Part]:
         c, size = self.config, self.config.side_m / self.config.cells
@@ -129,7 +132,9 @@ class ReaderGrid(BaseHall):
         truth_hz: int = 120,
     ) -> Truth:
         """Actors along their routes, walkers at random: each from its own stream, "world.<name>"."""
-        routed = super().move(super().scene(actors), actors, duration, root, trial, step_hz, truth_hz)
+        if self._routed is None or self._routed[0] is not scene:  # the hall without its walkers, made once
+            self._routed = scene, super().scene(actors)
+        routed = super().move(self._routed[1], actors, duration, root, trial, step_hz, truth_hz)
         poses = {name: routed.poses[:, i] for i, name in enumerate(routed.bodies)}
         for plan in self._walkers():
             place = track(self.config, routed.t, rng.stream(root, trial, f"world.{plan.id}"))
@@ -162,9 +167,20 @@ def track(config: ReaderGrid.Config, t: Array, random: np.random.Generator) -> A
     for _ in range(ATTEMPTS):
         start = random.uniform(config.start_margin_m, config.side_m - config.start_margin_m, 2)
         found = start + (_stop_and_go if config.stop_s > 0 else _steady)(config, t, random)
-        if (found >= low).all() and (found <= high).all():
+        if (found >= low).all() and (found <= high).all() and not _in_rack(config, found).any():
             return found
-    raise ValueError(f"no track of {t[-1]:g} s at {config.speed_mps:g} m/s stays within the walls: shorten duration_s or slow down")
+    raise ValueError(f"no track of {t[-1]:g} s at {config.speed_mps:g} m/s stays clear of walls and racks: shorten duration_s or slow down")
+
+
+def _in_rack(config: ReaderGrid.Config, place: Array) -> Array:
+    """(K,) bool: whether places (K, 2) are within rack_margin_m of the rack of their cell."""
+    if not config.rack_bays:
+        return np.zeros(len(place), dtype=bool)
+    size, yaw = config.side_m / config.cells, np.deg2rad(config.rack_yaw_deg)
+    x, y = (place % size - size / 2).T
+    along, across = np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x
+    shape = RackSize(config.rack_bays, config.rack_levels, BAY, DEPTH)
+    return (np.abs(along) <= shape.length / 2 + config.rack_margin_m) & (np.abs(across) <= DEPTH / 2 + config.rack_margin_m)
 
 
 def _heading(config: ReaderGrid.Config, random: np.random.Generator) -> Array:
