@@ -40,7 +40,7 @@ def command(capsys, *words, code=0):
 
 def test_the_verdict_comes_first_then_the_tables(gate, capsys):
     lines = command(capsys, "explain", gate, *QUESTION).out.splitlines()
-    assert lines[0].startswith(("read: ", "not read"))
+    assert lines[0].startswith(("read", "not read"))
     assert lines[0].endswith(".")
     assert lines[1].startswith("gate, trial 0: tag lid, antenna post1.low of posts, 1 s, 86")
     text = "\n".join(lines)
