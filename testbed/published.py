@@ -6,7 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from testbed.evaluate import Interval, Rows, figure_of, plain
+import numpy as np
+
+from testbed.evaluate import Interval, Rows, figure_of, mean_interval, plain
 from testbed.scenario import Figure, Publication, PublishedTable
 
 
@@ -51,6 +53,8 @@ def compare(publications: Sequence[Publication], rows: Rows, world: Rows) -> tup
 
 def _beside(figure: Figure, scale: float, rows: Rows, world: Rows) -> Beside:
     claim = figure.claim
+    if figure.point is None:
+        return Beside(figure, mean_interval(np.empty(0)), None, "not run: the sweep has no such point")
     found, missing = figure_of(claim, rows, world, figure.point)
     ours = Interval(found.mean * scale, found.se * scale, found.low * scale, found.high * scale, found.n)
     inside = None
@@ -67,16 +71,16 @@ def document(compared: Sequence[Comparison], sets: Sequence[Mapping[str, Any]]) 
             "source": one.publication.source,
             "note": one.publication.note,
             "tables": [
-                {"title": t.table.title, "unit": t.table.unit, "cells": [_cell(cell, sets[cell.figure.point]) for cell in t.cells]}
-                for t in one.tables
+                {"title": t.table.title, "unit": t.table.unit, "cells": [_cell(cell, sets) for cell in t.cells]} for t in one.tables
             ],
         }
         for one in compared
     ]
 
 
-def _cell(cell: Beside, swept: Mapping[str, Any]) -> dict[str, Any]:
+def _cell(cell: Beside, sets: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     figure = cell.figure
+    swept = figure.at if figure.point is None else sets[figure.point]
     out: dict[str, Any] = {"estimator": figure.subject, "metric": figure.metric, "statistic": figure.statistic, "set": dict(swept)}
     out |= {"paper": figure.paper, "ours": plain(cell.ours.mean), "se": plain(cell.ours.se), "n": cell.ours.n}
     if figure.accept is not None:

@@ -47,8 +47,20 @@ class Trial:
     stimulus: dict[str, float]
     walk: Walk | None = None
 
+    _last: list[tuple[Array, Array]] = field(default_factory=list, init=False, repr=False)
+
     def target_states(self, t: Array) -> Array:
-        """(K, targets, 6): true position (m) and velocity (m/s) of every target at times t (K,), world frame."""
+        """(K, targets, 6): true position (m) and velocity (m/s) of every target at times t (K,), world frame. Read-only.
+
+        The last answer is kept: all estimators of a trial start and are scored at the same times.
+        """
+        if not self._last or not np.array_equal(self._last[0][0], t):
+            states = self._target_states(t)
+            states.flags.writeable = False
+            self._last[:] = [(np.array(t), states)]
+        return self._last[0][1]
+
+    def _target_states(self, t: Array) -> Array:
         states = np.zeros((len(t), len(self.target_body), 6))
         for i, (body, pose) in enumerate(zip(self.target_body, self.target_pose, strict=True)):
             if body == WORLD:

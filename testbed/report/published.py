@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from testbed.published import Beside, ComparedTable, Comparison, compare
 from testbed.report.amounts import NOTHING, number
@@ -35,7 +36,7 @@ def _shown(one: Comparison, study: Study) -> PublishedShown:
 def _grid(compared: ComparedTable, study: Study) -> Grid:
     """A row a cell of the table, in the table's order."""
     unit = compared.table.unit
-    paths = list(dict.fromkeys(path for cell in compared.cells for path in study.sets[cell.figure.point]))
+    paths = list(dict.fromkeys(path for cell in compared.cells for path in _set(cell, study)))
     judged, noted = any(c.figure.accept for c in compared.cells), any(c.note for c in compared.cells)
     heads = [Head("", number=False), *(Head(path.rpartition(".")[2], path) for path in paths)]
     heads += [Head("paper", unit), Head("ours ± standard error", unit), Head("trials")]
@@ -45,6 +46,11 @@ def _grid(compared: ComparedTable, study: Study) -> Grid:
     return Grid(_caption(compared, judged), tuple(heads), rows)
 
 
+def _set(cell: Beside, study: Study) -> Mapping[str, Any]:
+    """What the sweep sets at a cell's point."""
+    return cell.figure.at if cell.figure.point is None else study.sets[cell.figure.point]
+
+
 def _caption(compared: ComparedTable, judged: bool) -> str:
     said = f"{compared.table.title}; ours is the mean over trials ± standard error, under it the 95 % interval"
     banded = [c for c in compared.cells if c.inside is not None]
@@ -52,7 +58,7 @@ def _caption(compared: ComparedTable, judged: bool) -> str:
 
 
 def _row(cell: Beside, study: Study, paths: Sequence[str], judged: bool, noted: bool) -> tuple[Cell, ...]:
-    figure, swept = cell.figure, study.sets[cell.figure.point]
+    figure, swept = cell.figure, _set(cell, study)
     what = figure.claim.column
     paper = NOTHING if figure.paper is None else _plain(figure.paper)
     row = [Cell(figure.subject, (what,)), *(Cell(str(swept.get(path, NOTHING))) for path in paths)]
@@ -63,7 +69,7 @@ def _row(cell: Beside, study: Study, paths: Sequence[str], judged: bool, noted: 
 
 
 def _accepted(cell: Beside) -> Cell:
-    if cell.figure.accept is None:
+    if cell.figure.accept is None or cell.inside is None:
         return Cell(NOTHING)
     low, high = cell.figure.accept
     mark = ("good", "✓ inside") if cell.inside else ("bad", "✗ outside")

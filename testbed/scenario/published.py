@@ -15,7 +15,8 @@
 
 A cell is one figure at one point of the sweep; `metric` and `statistic` may stand at the cell as well. A difference of two
 estimators is taken trial by trial. `accept`, in the table's unit, makes an expectation of the cell: a run in which our figure lies
-outside fails, as under `expect`. Without it the two figures stand side by side and nothing is judged.
+outside fails, as under `expect`. Without it the two figures stand side by side and nothing is judged. A cell whose point the run does
+not have (a shorter sweep, by --set) is shown as not run.
 """
 
 from __future__ import annotations
@@ -31,7 +32,6 @@ from testbed.quantity import Config
 from testbed.scenario.claims import WORLD, Claim, known, subject_of
 from testbed.scenario.problems import Loc
 from testbed.scenario.source import Review
-from testbed.scenario.wording import shown
 
 if TYPE_CHECKING:
     from testbed.scenario.scenario import Point
@@ -80,9 +80,13 @@ class PublishedModel(Config):
 
 @dataclass(frozen=True)
 class Figure:
-    """One published figure: what it is called here, at which point of the sweep, and the paper's value in the table's unit."""
+    """One published figure: what it is called here, at which point of the sweep, and the paper's value in the table's unit.
 
-    point: int
+    point is None where the sweep, which --set may have changed, never takes the values `at`: then there is nothing to compare with.
+    """
+
+    point: int | None
+    at: dict[str, Any]
     subject: str
     metric: str
     statistic: str
@@ -139,6 +143,7 @@ def publications(
                 figure = _figure(table, cell, points, estimators, columns, loc, review)
                 if figure is not None:
                     figures.append(figure)
+                if figure is not None and figure.point is not None:
                     claims += _claims(figure, table.scale, review.source.line(loc))
             tables.append(PublishedTable(table.title, table.unit, table.scale, tuple(figures)))
         found.append(Publication(model.source, model.note, tuple(tables)))
@@ -186,13 +191,13 @@ def _figure(
     elif columns is not None:
         known(metric, statistic, columns, loc, review)
     point = _point(cell.at, points, loc, review)
-    if metric is None or point is None or len(review.problems) > before:
+    if metric is None or len(review.problems) > before:
         return None
-    return Figure(point, name, metric, statistic, cell.paper, cell.accept, cell.note)
+    return Figure(point, dict(cell.at), name, metric, statistic, cell.paper, cell.accept, cell.note)
 
 
 def _point(at: dict[str, Any], points: Sequence[Point], loc: Loc, review: Review) -> int | None:
-    """The one point that sets what `at` says."""
+    """The one point that sets what `at` says, None where there is none."""
     swept = list(points[0].set) if points else []
     for path in at:
         if path not in swept:
@@ -204,10 +209,6 @@ def _point(at: dict[str, Any], points: Sequence[Point], loc: Loc, review: Review
     if fitting:
         open_paths = [path for path in swept if path not in at]
         review.note(loc, f"fits {len(fitting)} points of the sweep: say at which {' and '.join(open_paths)}, as in at: {{...}}")
-        return None
-    path, value = next(((p, v) for p, v in at.items() if all(point.set[p] != v for point in points)), next(iter(at.items())))
-    taken = ", ".join(dict.fromkeys(shown(point.set[path]) for point in points))
-    review.note((*loc, "at", path), f"the sweep never sets {path} to {shown(value)}; it takes {taken}")
     return None
 
 

@@ -2,15 +2,15 @@
 
     RSSI = C - 10 n log10(D / 1 m) + N(0, σ)
 
-with D the distance d or, where the antennas are `directional`, d / cos θ: on spheres through the antenna, centred on its axis, the level
-is the same (Nick and Götze, section 4). That is a one-way pattern cos^(n/2). Left out: all that radio does in a hall. It is for
+with D the distance d or, of an antenna with a beam, d / cos θ: on spheres through the antenna, centred on its axis, the level is
+the same (Nick and Götze, section 4). That is a one-way pattern cos^(n/2). Left out: all that radio does in a hall. It is for
 studies of estimators alone, whose truth and noise are known to the last digit.
 """
 
 from __future__ import annotations
 
 from fnmatch import fnmatchcase
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -26,7 +26,7 @@ from testbed.scene import WORLD, Scene
 from testbed.sensors.carrier import instants
 from testbed.types import Antennas, Reads
 
-LEAST_COSINE = 0.05  # a directional antenna hears nothing further off its axis than this
+LEAST_COSINE = 0.05  # a beam hears nothing further off its axis than this
 NEAR = 1e-3  # m: nearer than this is as near
 ISOTROPIC = np.pi  # rad: the beam width that stands for no pattern at all
 
@@ -45,10 +45,11 @@ class AntennaPlace(Config):
 
 
 class LogDistanceConfig(Config):
-    """`count` takes the first so many antennas, `tags` is a pattern over tag ids.
+    """`count` takes the first so many antennas; `tags` is a pattern over the ids of the tags that are read.
 
-    Noise is a function of the instant, the antenna's place in the list, the tag, and `draws`: two sensors of one `draws` (their own
-    ids, where left out) have the same. Each trial moves places and aims by `jitter_m` * U(-1, 1) an axis; the installer knows where to.
+    `beams`: none (all directions alike), all, or both: then there are two antennas at each place, one of each sort, with the same noise,
+    so that methods on either are compared on the same trials; `beam_tags` are those that the second sort reads.
+    Each trial moves places and aims by `jitter_m` and `aim_jitter_m` times U(-1, 1) on each axis; the installer knows where to.
     """
 
     antennas: Annotated[list[AntennaPlace], Field(min_length=1, max_length=1000)]
@@ -58,8 +59,8 @@ class LogDistanceConfig(Config):
     reference_dbm: DecibelMilliwatts = -40.0
     path_loss_exponent: Annotated[float, Field(gt=0, le=12)] = 4.0
     sigma_db: Annotated[Decibels, Field(ge=0, le=40)] = 1.0
-    directional: bool = False
-    draws: Annotated[str, Field(min_length=1, max_length=100)] | None = None
+    beams: Literal["none", "all", "both"] = "none"
+    beam_tags: Annotated[str, Field(min_length=1, max_length=200)] = "*"
     jitter_m: Point3 = (0.0, 0.0, 0.0)
     aim_jitter_m: Point3 = (0.0, 0.0, 0.0)
 
@@ -67,15 +68,14 @@ class LogDistanceConfig(Config):
     def _fits(self) -> LogDistanceConfig:
         if self.count is not None and self.count > len(self.antennas):
             raise ValueError(f"count asks for {self.count} antennas of the {len(self.antennas)} in the list")
-        if self.directional:
-            blind = next((i for i, a in enumerate(self.antennas) if a.aim_m is None), None)
-            if blind is not None:
-                raise ValueError(f"antennas.{blind} looks nowhere: a directional antenna needs aim_m")
+        blind = next((i for i, a in enumerate(self.antennas) if a.aim_m is None), None)
+        if self.beams != "none" and blind is not None:
+            raise ValueError(f"antennas.{blind} looks nowhere: a beam needs aim_m")
         return self
 
 
 class LogDistance:
-    """Reads every 1 / rate_hz s from t = 0. ValueError for a pattern of tags that nothing can fit is left to the trial: tags come later."""
+    """Reads every 1 / rate_hz s from t = 0. Antennas are `<id>.1`, ... and, with a beam, `<id>.beam1`, ..."""
 
     Config: ClassVar[type[LogDistanceConfig]] = LogDistanceConfig
     produces: ClassVar[frozenset[str]] = frozenset({"reads"})
@@ -83,6 +83,9 @@ class LogDistance:
     def __init__(self, config: LogDistanceConfig, id: str, scene: Scene) -> None:
         self._config, self._id = config, id
         self._places = config.antennas[: config.count or len(config.antennas)]
+        sorts = {"none": [False], "all": [True], "both": [False, True]}[config.beams]
+        self._is_beam = np.repeat(sorts, len(self._places))
+        self._place = np.tile(np.arange(len(self._places)), len(sorts))
 
     def antennas(self) -> Antennas:
         """The antennas as the scenario lists them, before each trial's jitter."""
@@ -97,31 +100,30 @@ class LogDistance:
         return np.empty(0)
 
     def sense(self, around: Surroundings, first_antenna: int) -> Sensed:
-        """All reads of a trial, in the order of instants, antennas, tags."""
-        config = self._config
-        tag = self._tags(around)
+        """All reads of a trial, in the order of instants, antennas, tags. ValueError for a pattern that no tag fits."""
+        config, tag = self._config, self._tags(around, self._config.tags)
         t = instants(around.duration, config.rate_hz)
         position, aim = self._moved(around.root, around.trial)
-        apart = self._apart(around, tag, t)[:, None] - position[:, None]  # (K, antennas, tags, 3)
+        apart = self._positions(around, tag, t)[:, None] - position[:, None]  # (K, places, tags, 3)
         distance = np.maximum(np.linalg.norm(apart, axis=-1), NEAR)
-        heard = np.ones(distance.shape, dtype=bool)
-        if config.directional:
-            axis = (aim - position) / np.linalg.norm(aim - position, axis=1, keepdims=True)
-            cosine = np.einsum("kmti,mi->kmt", apart, axis) / distance
-            heard = cosine > LEAST_COSINE
-            distance = distance / np.where(heard, cosine, 1.0)
-        rssi = config.reference_dbm - 10 * config.path_loss_exponent * np.log10(distance) + self._noise(around, tag, len(t))
+        axis = (aim - position) / np.linalg.norm(aim - position, axis=1, keepdims=True)
+        cosine = np.einsum("kmti,mi->kmt", apart, axis)[:, self._place] / distance[:, self._place]
+        read = np.isin(tag, self._tags(around, config.beam_tags)) if config.beams != "none" else np.ones(len(tag), dtype=bool)
+        beam = self._is_beam[:, None]
+        heard = ~beam | ((cosine > LEAST_COSINE) & read)
+        distance = distance[:, self._place] / np.where(beam & heard, cosine, 1.0)
+        rssi = config.reference_dbm - 10 * config.path_loss_exponent * np.log10(distance) + self._noise(around, tag, len(t))[:, self._place]
         k, m, which = np.nonzero(heard)
         return Sensed({"reads": Reads(t=t[k], t_arrival=t[k], antenna=m + first_antenna, tag=tag[which], rssi=rssi[heard])})
 
-    def _tags(self, around: Surroundings) -> Array:
+    def _tags(self, around: Surroundings, pattern: str) -> Array:
         ids = [str(id) for id in around.tagged.tags.id]
-        found = [i for i, id in enumerate(ids) if fnmatchcase(id, self._config.tags)]
+        found = [i for i, id in enumerate(ids) if fnmatchcase(id, pattern)]
         if not found and ids:
-            raise ValueError(f"sensor {self._id}: no tag is named {self._config.tags!r}{suggest(self._config.tags, ids[:1000])}")
+            raise ValueError(f"sensor {self._id}: no tag is named {pattern!r}{suggest(pattern, ids[:1000])}")
         return np.array(found, dtype=np.int64)
 
-    def _apart(self, around: Surroundings, tag: Array, t: Array) -> Array:
+    def _positions(self, around: Surroundings, tag: Array, t: Array) -> Array:
         """(K, tags, 3) m: where the tags are at the instants."""
         position = np.empty((len(t), len(tag), 3))
         for i, one in enumerate(tag):
@@ -130,37 +132,38 @@ class LogDistance:
         return position
 
     def _noise(self, around: Surroundings, tag: Array, instants: int) -> Array:
+        """(K, places, tags) dB."""
         if self._config.sigma_db == 0:
             return np.zeros((instants, len(self._places), len(tag)))
-        draws = Counter(around.root, around.trial, f"sensors.{self._config.draws or self._id}.rssi")
+        draws = Counter(around.root, around.trial, f"sensors.{self._id}.rssi")
         key = keys_of(around.tagged.tags.id[tag])
         normal = draws.normal(np.arange(instants)[:, None, None], np.arange(len(self._places))[:, None], key)
         return self._config.sigma_db * normal
 
     def _listed(self) -> tuple[Array, Array]:
-        """(antennas, 3) m each: places, and what they look at (a metre along +x where they look nowhere)."""
+        """(places, 3) m each: where they are, and what they look at (a metre along +x where they look nowhere)."""
         position = np.array([a.position_m for a in self._places])
         aim = np.array([(x + 1.0, y, z) if a.aim_m is None else a.aim_m for a in self._places for x, y, z in [a.position_m]])
         return position, aim
 
     def _moved(self, root: int, trial: int) -> tuple[Array, Array]:
-        """As `_listed`, with the trial's jitter; sensors of one `draws` are moved alike."""
+        """As `_listed`, with the trial's jitter."""
         position, aim = self._listed()
         if not any((*self._config.jitter_m, *self._config.aim_jitter_m)):
             return position, aim
-        random = stream(root, trial, f"sensors.{self._config.draws or self._id}.places")
-        shift = random.uniform(-1.0, 1.0, (len(self._config.antennas), 2, 3))[: len(position)]
+        random = stream(root, trial, f"sensors.{self._id}.places")
+        shift = random.uniform(-1.0, 1.0, (len(self._config.antennas), 2, 3))[: len(position)]  # more antennas move no other
         return position + np.array(self._config.jitter_m) * shift[:, 0], aim + np.array(self._config.aim_jitter_m) * shift[:, 1]
 
     def _described(self, position: Array, aim: Array) -> Antennas:
-        config, n = self._config, len(position)
-        half_power = 2 * np.arccos(0.5 ** (2 / config.path_loss_exponent))  # of cos^(n/2), one way
+        n, names = len(self._place), np.where(self._is_beam, "beam", "")
+        half_power = 2 * np.arccos(0.5 ** (2 / self._config.path_loss_exponent))  # of cos^(n/2), one way
         return Antennas(
-            id=np.array([f"{self._id}.{i + 1}" for i in range(n)]),
-            position=position,
-            quaternion=frames.looking_at(position, aim),
+            id=np.array([f"{self._id}.{name}{place + 1}" for name, place in zip(names, self._place, strict=True)]),
+            position=position[self._place],
+            quaternion=frames.looking_at(position, aim)[self._place],
             gain=np.zeros(n),
-            beamwidth=np.full(n, half_power if config.directional else ISOTROPIC),
+            beamwidth=np.where(self._is_beam, half_power, ISOTROPIC),
             front_to_back=np.full(n, 200.0),
             power=np.zeros(n),
             reader=np.full(n, self._id),

@@ -30,7 +30,7 @@ def beside(*figures, scale=100.0):
 
 
 def figure(subject, point=0, paper=60.0, accept=None, metric="error_m"):
-    return Figure(point, subject, metric, "", paper, accept, "")
+    return Figure(point, {"m": 9}, subject, metric, "", paper, accept, "")
 
 
 def test_ours_is_the_mean_over_trials_in_the_tables_unit():
@@ -63,6 +63,14 @@ def test_a_figure_that_the_run_does_not_have_says_why():
     assert math.isnan(cell.ours.mean)
     assert cell.inside is False
     assert "there is no 'availability'" in cell.note
+
+
+def test_a_cell_whose_point_is_not_run_says_so_and_is_not_judged():
+    compared = compare([table(figure("a", point=None, accept=(0.0, 1.0)))], ROWS, {})
+    cell = compared[0].tables[0].cells[0]
+    assert (cell.inside, cell.note) == (None, "not run: the sweep has no such point")
+    (paper,) = document(compared, [])
+    assert paper["tables"][0]["cells"][0]["set"] == {"m": 9}
 
 
 def test_the_document_is_plain_and_has_null_for_what_is_not_there():
