@@ -18,6 +18,7 @@ from testbed.recording import Recording, Trial
 from testbed.report.cameras import mistakes
 from testbed.rng import Counter, keys_of
 from testbed.route import Route
+from testbed.scenario.reporting import mistakes as unfit
 from testbed.scene import WORLD, Scene, Truth
 from testbed.tagging import choose_targets, place_tags
 from testbed.types import Antennas, Site
@@ -45,6 +46,7 @@ class Simulator:
             self._references = references(scenario, self.tagged)
             self._check_radios()
             self._check_cameras()
+            self._check_report()
             materials = self._losses()
             self._caster = self._world.caster(self.scene, scenario.rays, *materials) if rays else None
         except BaseException:
@@ -84,17 +86,23 @@ class Simulator:
                     raise self.scenario.problem(section.loc, "its carriers differ from another reader's: one site has one region")
                 table = frequencies
 
+    def _check_report(self) -> None:
+        asked = self.scenario.report.coverage
+        readers = [section.id for section in self.scenario.sensors if section.kind == "rfid"]
+        for field, message in unfit(asked, self.scene.bounds, readers) if asked else ():
+            raise self.scenario.problem(("report", "coverage", field), message)
+
     def _check_cameras(self) -> None:
         for i, camera in enumerate(self.scenario.cameras):
             for field, message in mistakes(camera, self.scene, self.scenario.duration_s):
                 raise self.scenario.problem(("cameras", i, field), message)
 
-    def __enter__(self) -> Self:
-        return self
     def plan(self, id: str) -> ActorPlan:
         """The plan of the actor with this id. KeyError where there is none."""
         return {plan.id: plan for plan in self._actors}[id]
 
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()

@@ -22,6 +22,7 @@ from testbed.report import cases, grids, player, words
 from testbed.report.album import Picture, album
 from testbed.report.amounts import capital, counted, listed
 from testbed.report.cases import Case
+from testbed.report.covered import site
 from testbed.report.figures import Drawing, Styles
 from testbed.report.figures_plan import floor_plan
 from testbed.report.figures_radio import phase_by_range, radio_strips
@@ -116,6 +117,7 @@ def page(study: Study) -> str:
     failures, failure_notes = _failures(study.failures)
     verdict = words.verdict(study)
     claims, papers = grids.claims(study), published(study)
+    covered = site(study)
     text = str(study.manifest["scenario"]["text"])
     context = {
         "title": study.title,
@@ -124,7 +126,7 @@ def page(study: Study) -> str:
         "summary": words.summary(study),
         "verdict": {"text": verdict[0], "mark": "good" if verdict[1] else "bad"} if verdict else None,
         "gap": study.gap,
-        "contents": _contents(bool(claims), bool(papers), bool(failures)),
+        "contents": _contents(bool(claims), bool(papers), bool(failures), bool(covered)),
         "identity": grids.identity(study),
         "commands": words.commands(study),
         "text": text,
@@ -136,6 +138,7 @@ def page(study: Study) -> str:
         "over_runs": [drawn for drawn in (curves(study, "curves"), settling(study, "settling")) if drawn],
         "claims": claims,
         "papers": papers,
+        "coverage": covered,
         "first": shown[0] if shown else None,
         "others": shown[1:],
         "no_recording": _no_recording(study),
@@ -156,10 +159,11 @@ def _rendered(context: dict[str, Any]) -> str:
     return environment.from_string(source).render(page=context, style=style, script=script, script_hash=digest)
 
 
-def _contents(claims: bool, papers: bool, failures: bool) -> list[tuple[str, str]]:
+def _contents(claims: bool, papers: bool, failures: bool, coverage: bool) -> list[tuple[str, str]]:
     found = [("again", "What was run"), ("results", "Results")]
     found += [("published", "Beside the paper")] if papers else []
     found += [("claims", "Expectations")] if claims else []
+    found += [("coverage", "Coverage")] if coverage else []
     found += [("recordings", "One trial, seen")]
     found += [("failures", "What failed")] if failures else []
     return [*found, ("notes", "What to keep in mind")]

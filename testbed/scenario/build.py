@@ -22,7 +22,7 @@ from testbed.scenario.wording import shown
 
 _PLAIN = (
     "name", "title", "seed", "trials", "block", "duration_s", "prior", "report_hz", "hold_s", "step_hz", "truth_hz", "rays", "survey",
-    "sweep",
+    "sweep", "report",
 )  # fmt: skip
 
 

@@ -16,6 +16,7 @@ from testbed.quantity import Config, Degrees, Hertz, Metres, MetresPerSecond, Po
 from testbed.route import Route
 from testbed.scenario.problems import Loc
 from testbed.scenario.published import PublishedModel, one_is_a_list
+from testbed.scenario.reporting import ReportModel
 from testbed.walk import RoadWalk
 
 MAX_POINTS = 10_000  # of a sweep
@@ -193,6 +194,7 @@ class Document(Config):
     expect: dict[str, Any] = Field(default_factory=dict)
     sweep: dict[str, Any] = Field(default_factory=dict)
     published: _Publications = Field(default_factory=list)
+    report: ReportModel = ReportModel()
     files: dict[str, str] = Field(default_factory=dict)
 
 

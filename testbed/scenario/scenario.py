@@ -19,9 +19,10 @@ from testbed.scenario.claims import Claim
 from testbed.scenario.model import ActorSection, PriorModel, Section, SurveyModel, TagRule
 from testbed.scenario.problems import Loc, ScenarioError
 from testbed.scenario.published import Publication
+from testbed.scenario.reporting import ReportModel
 from testbed.scenario.source import Source
 
-OUTSIDE_HASH = ("trials", "seed", "expect", "block", "published", "files", "cameras")  # files are hashed as the tags they hold
+OUTSIDE_HASH = ("trials", "seed", "expect", "block", "published", "files", "cameras", "report")  # files are hashed as the tags they hold
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,7 @@ class Scenario:
     source: Source = field(repr=False, compare=False)
     swept: tuple[Point, ...] = field(default=(), repr=False, compare=False)
     published: tuple[Publication, ...] = ()
+    report: ReportModel = field(default_factory=ReportModel)
 
     def points(self) -> list[Point]:
         """The points of the sweep in the order of the file, the last path fastest; one point, as it is, without a sweep."""

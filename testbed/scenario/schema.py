@@ -123,6 +123,7 @@ _TOLD = {
     "survey": "how well the installer knows where the antennas are",
     "expect": "bounds on the results: by estimator, by paired difference (\"ekf - ukf\"), and on the world itself",
     "published": "tables that others published of the same study, set beside ours in the report",
+    "report": "what is to be seen in the report besides: a coverage map of the site's readers",
     "sweep": "paths and the values that each takes; every combination is run",
     "files": "contents of the tables that tags name, kept with the results of a run",
 }  # fmt: skip
