@@ -1,10 +1,11 @@
 """What received power an estimator expects: a two-way link budget from the site as surveyed.
 
-    rssi = P_tx + 2 (G(θ) - χ) + 2 G_tag - L_mod + 40 log10(λ / 4π 1 m) - 10 n log10(d / 1 m)
+    rssi = P_tx + 2 (G(θ) - χ) + 2 (G_tag - o) - L_mod + 40 log10(λ / 4π 1 m) - 10 n log10(d / 1 m)
 
 with the antenna's conducted power and gain, polarisation loss χ, tag gain, modulation loss and path-loss exponent n (4 = free space
-there and back: Friis twice). G(θ) is a cos^p pattern through the half-power beam width, over a floor: G_max (f + (1 - f) cos^p θ). It
-knows nothing of obstacles, reflections, or which way the tag is turned: all that is left to `sigma_db`.
+there and back: Friis twice). G(θ) is a cos^p pattern through the half-power beam width, over a floor: G_max (f + (1 - f) cos^p θ).
+Which way a tag is turned nobody knows; o is what a dipole's pattern takes in the mean over all directions, in dB. It knows nothing of
+obstacles and reflections: they, and how far a tag's turn is from the mean (7 dB there and back), are left to `sigma_db`.
 
 Two guards against the singularity at the antenna: d² is taken as |r|² + near², so h and its gradient are smooth and bounded (at 0.5 m
 that is a tenth of a dB); and for the extended filter `quadratic` gives what its linearisation leaves out.
@@ -27,6 +28,7 @@ from testbed.types import Array, Site
 from testbed.units import SPEED_OF_LIGHT, from_db
 
 LIMITS_DBM = (-200.0, 100.0)  # no reader reports anything beyond: it is a fault, not a measurement
+DIPOLE_MEAN_DB = 3.36  # mean over the sphere of -20 log10 F, F = cos(π/2 cos α) / sin α of a half-wave dipole (Balanis, eq. 4-84)
 NEPER_DB = 10 / math.log(10)  # dB per unit of the natural logarithm of a power
 
 
@@ -43,6 +45,9 @@ class RssiConfig(Config):
     reference_dbm: Annotated[DecibelMilliwatts, Field(ge=-200, le=100)] | None = None
     modulation_loss_db: Annotated[Decibels, Field(ge=0, le=40)] = 8.0
     polarisation_loss_db: Annotated[Decibels, Field(ge=0, le=40)] = 3.0
+    orientation_loss_db: Annotated[Decibels, Field(ge=0, le=40)] | None = (
+        None  # one way; DIPOLE_MEAN_DB for a dipole, 0 for an isotropic tag
+    )
     use_pattern: bool = True
     near_m: Annotated[Metres, Field(ge=0.01, le=1)] = 0.1
 
@@ -157,7 +162,10 @@ def _levels(config: RssiConfig, site: Site, method: str) -> Array:
     wavelength = SPEED_OF_LIGHT / np.mean(site.frequencies)
     antenna = site.antennas.power + 2 * (site.antennas.gain - config.polarisation_loss_db)
     common = 40 * math.log10(wavelength / (4 * math.pi)) - config.modulation_loss_db
-    return antenna[:, None] + 2 * site.tags.gain[None, :] + common
+    turned = np.where(site.tags.pattern == "dipole", DIPOLE_MEAN_DB, 0.0)
+    if config.orientation_loss_db is not None:
+        turned = np.full(len(site.tags), config.orientation_loss_db)
+    return antenna[:, None] + 2 * (site.tags.gain - turned)[None, :] + common
 
 
 @dataclass(frozen=True)

@@ -84,6 +84,17 @@ def test_a_tags_own_gain_counts_twice():
     assert strong - weak == pytest.approx(6.0)
 
 
+def test_a_dipole_is_expected_as_it_is_in_the_mean_over_all_directions():
+    dipoles = replace(SITE, tags=SITE.tags.with_(pattern=np.array(["isotropic", "dipole"] + ["isotropic"] * (len(SITE.tags) - 2))))
+    point, antenna = np.tile([2.0, 2.0, 1.0], (2, 1)), np.zeros(2, dtype=int)
+    plain, turned = model(dipoles).expected(point, antenna, np.array([0, 1]))
+    cosine = (np.arange(200_000) + 0.5) / 100_000 - 1  # all directions are alike where their cosine is uniform
+    field = np.cos(np.pi / 2 * cosine) / np.sqrt(1 - cosine**2)
+    assert turned - plain == pytest.approx(2 * np.mean(20 * np.log10(field)), abs=0.01)
+    told = model(dipoles, orientation_loss_db=1.5).expected(point, antenna, np.array([0, 1]))
+    np.testing.assert_allclose(told, plain - 3.0)
+
+
 def test_antennas_on_bodies_and_sites_without_antennas_are_refused_by_name():
     carried = replace(SITE, antennas=SITE.antennas.with_(carrier=np.array(["", "forklift", "", ""])))
     with pytest.raises(ValueError, match="it: the place of southeast is not known, it is carried"):
