@@ -31,7 +31,7 @@ from testbed.plugins import suggest
 from testbed.progress import Progress, Silent
 from testbed.protocols import Surroundings, Tagged
 from testbed.radio.tags import tag_model
-from testbed.scene import WORLD, Scene, Truth
+from testbed.scene import WORLD, Boxes, Scene
 from testbed.sensors.rfid import Rfid
 from testbed.simulate import Simulator
 from testbed.solid import holder
@@ -163,7 +163,7 @@ def covered(
     around, antennas = simulator.at_rest(), Antennas.concatenate([sensor.antennas() for _, sensor in readers])
     x, y, z = _grid(np.asarray(simulator.scene.bounds), step_m, height_m, len(antennas))
     points = np.stack(np.broadcast_arrays(x, y[:, None], z[:, None, None]), axis=-1)
-    inside = holder(points.reshape(-1, 3), _solid(simulator.scene, around.truth)).reshape(points.shape[:3]) >= 0
+    inside = holder(points.reshape(-1, 3), _solid(simulator.scene)).reshape(points.shape[:3]) >= 0
     around = _asked(around, points[~inside], tag)
     shown = progress or Silent()
     shown.start(f"{simulator.scenario.name}, coverage", int((~inside).sum()) * len(antennas), 0)
@@ -212,11 +212,9 @@ def _grid(bounds: Array, step: float, heights: Sequence[float], antennas: int) -
     return x, y, np.array(list(dict.fromkeys(float(h) for h in heights)))
 
 
-def _solid(scene: Scene, truth: Truth) -> Any:
+def _solid(scene: Scene) -> Boxes:
     """All boxes in the world's frame, those of moving bodies where they start."""
-    pose = scene.rest_poses()
-    pose[scene.moving] = truth.poses[0]
-    pose = np.concatenate([pose, [frames.IDENTITY]])[scene.boxes.body]  # the last one is the world's, for index -1
+    pose = np.concatenate([scene.rest_poses(), [frames.IDENTITY]])[scene.boxes.body]  # the last one is the world's, for index -1
     center = frames.to_world(pose, scene.boxes.center)
     return scene.boxes.with_(center=center, quaternion=frames.multiply(pose[:, 3:], scene.boxes.quaternion))
 
