@@ -65,6 +65,7 @@ class Guide(ABC):
         self._heard, self._silent = np.zeros(rows, dtype=bool), np.zeros(rows, dtype=np.int64)
         self._said, self._known = np.zeros(rows, dtype=np.int8), np.zeros(rows, dtype=bool)
         self._stepping = np.zeros(rows, dtype=bool)  # whether the last action was a step
+        self._change, self._trusted = np.full(rows, np.nan), np.zeros(rows, dtype=bool)
         self._stream.start(rows)
         self._begin()
 
@@ -106,7 +107,8 @@ class Guide(ABC):
             self._said[rows[missing]] = np.maximum(said, self._said[rows[missing]])
         self._heard[rows], self._stepping[rows], self.moved[rows] = actions.heard, True, True
         self._silent[rows] = ~np.asarray(actions.heard)
-        self._stepped(rows, np.asarray(actions.step), change, spread, trusted & np.isfinite(change))
+        self._change[rows], self._trusted[rows] = change, trusted & np.isfinite(change)
+        self._stepped(rows, np.asarray(actions.step), change, spread, self._trusted[rows])
 
     # ------------------------------------------------------------ answers
 
@@ -123,6 +125,10 @@ class Guide(ABC):
         said = np.where(lost & ~stopped, NO_ANSWER, np.array(_SENTENCES, dtype=np.str_)[self._said])
         nowhere = mute | ~self._heard | ~self.moved
         return Advice(np.where(mute, np.nan, told), np.where(mute, 0.0, self._length()), np.where(nowhere, np.nan, aim), said)
+
+    def followed(self) -> tuple[Array, Array]:
+        """Of the last step: how far the phase turned (B,) rad, and whether that is trusted (B,)."""
+        return self._change.copy(), self._trusted.copy()
 
     def estimate(self) -> Estimate:
         """Where the tag is in the person's own frame."""

@@ -7,6 +7,7 @@ guide answers with a turn and a step. These are plain data, so a log of a real r
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -44,6 +45,15 @@ class Advice(Columns):
     step: Array = column("float64", ("B",), "m")
     aim: Array = column("float64", ("B",), "rad", default=np.nan)
     said: Array = column("str", ("B",), default="")
+
+
+@runtime_checkable
+class FollowsPhase(Protocol):
+    """A guide that can say how far it believes the phase to have turned over the last step."""
+
+    def followed(self) -> tuple[Array, Array]:
+        """(B,) rad, NaN where it does not know, and whether it trusts that (B,)."""
+        ...
 
 
 def wrapped(angle: Array) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from testbed import frames
 from testbed.columns import Array
 from testbed.estimate import thinned
-from testbed.guidance import Actions, Advice
+from testbed.guidance import Actions, Advice, FollowsPhase
 from testbed.guided.ears import Heard
 from testbed.guided.record import Walk
 from testbed.guided.walkers import Walkers
@@ -52,6 +52,7 @@ class Log:
             "informed": actions.turn, "x": people.place[rows, 0].copy(), "y": people.place[rows, 1].copy(),
             "heading": people.heading[rows].copy(), "range": people.range(rows), "bearing": people.bearing(rows), "length": length,
             "heard": actions.heard, "used": info.used, "aim": np.full(n, np.nan), "change": actions.change, "found": found,
+            **_followed(guide, rows, kind),
         })  # fmt: skip
         self._beliefs.append(self._belief(rows, guide))
         self._reads += [(int(r), reads) for r, reads in zip(rows, heard.reads, strict=bool(heard.reads)) if len(reads)]
@@ -99,6 +100,13 @@ class Log:
     def _reads_of(self, row: int) -> Reads:
         reads = Reads.concatenate([r for of, r in self._reads if of == row])
         return reads.take(np.argsort(reads.t, kind="stable"))
+
+
+def _followed(guide: Any, rows: Array, kind: str) -> dict[str, Array]:
+    if kind != "step" or not isinstance(guide, FollowsPhase):
+        return {"followed": np.full(len(rows), np.nan), "trusted": np.zeros(len(rows), dtype=bool)}
+    change, trusted = guide.followed()
+    return {"followed": change[rows], "trusted": trusted[rows]}
 
 
 def _track(walk: Walk, belief: dict[str, Array], trial: int, target: str, seconds: float) -> Track:

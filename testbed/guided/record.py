@@ -35,4 +35,6 @@ class Walk(Table):
     used: Array = column("bool", unit="whether the guide took it as it was told")
     aim: Array = column("float64", unit="rad, NaN where it has no idea", default=np.nan)
     change: Array = column("float64", unit="rad, of phase; NaN where it is in the reads", default=np.nan)
+    followed: Array = column("float64", unit="rad, what the guide made of the phase", default=np.nan)
+    trusted: Array = column("bool", unit="whether it trusts that", default=False)
     found: Array = column("bool", default=False)

@@ -75,7 +75,8 @@ class Walkers:
             off = np.stack([r * np.cos(angle), r * np.sin(angle)], axis=1)
         else:
             off = c.step_std_m * np.stack([draws.normal(rows, k, 0), draws.normal(rows, k, 1)], axis=1)
-        moved = step[:, None] * np.stack([np.cos(a), np.sin(a)], axis=1) + off
+        ahead, left = step + off[:, 0], off[:, 1]  # errors as the person makes them, so that they do not depend on where they look
+        moved = np.stack([ahead * np.cos(a) - left * np.sin(a), ahead * np.sin(a) + left * np.cos(a)], axis=1)
         self.place[rows] += moved
         length = np.hypot(*moved.T)
         self.distance[rows] += length

@@ -25,17 +25,20 @@ class Guidance:
     """
 
     class Config(BaseConfig):
-        """Which steps the cosine is taken of."""
+        """Which steps the cosine is taken of, and within how many the tag should be found."""
 
         beyond_m: Annotated[Metres, Field(ge=0)] = 1.0
         after_steps: Annotated[int, Field(ge=0)] = 3
+        in_time_steps: Annotated[int, Field(ge=1)] = 26
 
     on_request: ClassVar[bool] = True
     columns: ClassVar[dict[str, str]] = {
         "steps": "steps taken",
         "turns": "turns taken, those of a search included",
         "distance_m": "way walked, m",
+        "stride_m": "way walked a step, m",
         "found": "1 where the tag was found, else 0",
+        "in_time": "1 where it was found within in_time_steps steps, else 0",
         "cosine.mean": "mean cosine between the direction advised and the true one, over the steps of a trial",
         "cosine.sum": "sum of the same",
         "cosine.steps": "how many steps it is over",
@@ -61,7 +64,9 @@ class Guidance:
             "steps": float(step.sum()),
             "turns": float((walk.kind == "turn").sum()),
             "distance_m": float(walk.length.sum()),
+            "stride_m": float(walk.length.sum() / step.sum()) if step.any() else np.nan,
             "found": float(walk.found.any()),
+            "in_time": float(walk.found.any() and step.sum() <= self._config.in_time_steps),
             "cosine.mean": float(cosine.mean()) if len(cosine) else np.nan,
             "cosine.sum": float(cosine.sum()),
             "cosine.steps": float(len(cosine)),
