@@ -7,7 +7,7 @@ dynamic systems", AIAA Journal 3 (1965). The motion is linear, so the smoother n
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, Protocol
 
 import numpy as np
 from pydantic import Field
@@ -30,6 +30,14 @@ def status_of(silent: Array, config: StatusConfig) -> Array:
     return np.where(silent > config.lost_s, Status.LOST, coasting).astype(np.int8)
 
 
+class Motion(Protocol):
+    """How a state of n components goes on."""
+
+    n: int
+
+    def advance(self, mean: Array, covariance: Array, dt: Array) -> None: ...
+
+
 class _Step(NamedTuple):
     """A prediction: over how long (B,) s and to when, from what (after all updates before), to what."""
 
@@ -48,9 +56,7 @@ class Belief:
     remembered, for `smoothed`. ValueError where the prior does not speak of position and velocity.
     """
 
-    def __init__(
-        self, prior: Prior, motion: ConstantVelocity, config: StatusConfig, apart: Array | None = None, keep: bool = False
-    ) -> None:
+    def __init__(self, prior: Prior, motion: Motion, config: StatusConfig, apart: Array | None = None, keep: bool = False) -> None:
         if prior.components != POSITION_VELOCITY:
             raise ValueError(f"a prior over position and velocity is wanted, this one is over {', '.join(prior.components)}")
         points = motion.n // 6
@@ -111,6 +117,8 @@ class Belief:
         found = [(steps[-1].t, mean, covariance)]
         for i in range(len(steps) - 1, 0, -1):
             step = steps[i]
+            if not isinstance(self._motion, ConstantVelocity):
+                raise TypeError("only constant velocity can be gone back over")
             gain = smoother_gain(self._motion, step.dt, step.covariance, step.to_covariance)
             mean = step.mean + np.einsum("bij,bj->bi", gain, mean - step.to_mean)
             covariance = step.covariance + gain @ (covariance - step.to_covariance) @ gain.transpose(0, 2, 1)

@@ -7,23 +7,29 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from pydantic import Field
 
 from estimators import kalman
-from estimators.belief import Belief, StatusConfig
+from estimators.belief import Belief, Motion, StatusConfig
 from estimators.heard import Heard, HeardConfig, Hearing
-from estimators.measurements import MeasureConfig, Piece, Power, enough_antennas, ranges
+from estimators.measurements import Linear, MeasureConfig, Piece, Power, enough_antennas, ranges
 from estimators.motion import ConstantVelocity, MotionConfig
 from estimators.rssi_model import ReadVariance, RssiConfig, RssiModel
+from testbed.quantity import Metres
 from testbed.types import Array, Estimate, Event, Prior, Reads, RowRandom, Site, UpdateInfo
 
 
 class FilterConfig(RssiConfig, HeardConfig, MeasureConfig, MotionConfig, StatusConfig):
-    """What every Kalman filter here can be told. `smooth`: go back over the recording at its end (Rauch, Tung, Striebel 1965)."""
+    """What every Kalman filter here can be told.
+
+    `height_std_m`: take heights as well, with this deviation. `smooth`: go back over the recording at its end (Rauch, Tung, Striebel).
+    """
 
     gate: kalman.Gate = 0.999
+    height_std_m: Annotated[Metres, Field(gt=0, le=100)] | None = None
     smooth: bool = False
 
 
@@ -38,9 +44,10 @@ class PowerFilter(ABC):
 
     def __init__(self, config: Any, site: Site, rng: RowRandom) -> None:
         self._config, self._site, method = config, site, self._method()
-        self._model, self._motion = RssiModel(config, site, method), ConstantVelocity(config, targets=self.points)
+        self._model = RssiModel(config, site, method)
+        self._motion: Motion = ConstantVelocity(config, targets=self.points)
         self._hearing = Hearing(config, site, method)
-        self.consumes = self._hearing.consumes
+        self.consumes = self._hearing.consumes | (frozenset() if config.height_std_m is None else {"heights"})
         if config.measure == "distance":
             enough_antennas(config, site, self._hearing.antennas, method)
 
@@ -71,6 +78,8 @@ class PowerFilter(ABC):
         self._belief.predict(t)
 
     def update(self, event: Event) -> UpdateInfo:
+        if event.kind == "heights":
+            return self._correct(event.row, [self._height(event)])
         heard = self._hearing.of(event)
         info = self._correct(event.row, self._pieces(heard))
         self._belief.heard(event.row, info.used)
@@ -79,6 +88,10 @@ class PowerFilter(ABC):
 
     def estimate(self) -> Estimate:
         return self._belief.estimate()
+
+    def put(self, rows: Array, mean: Array, covariance: Array) -> None:
+        """Replace what some rows believe: for banks of filters that mix."""
+        self._belief.mean[rows], self._belief.covariance[rows] = mean, covariance
 
     def smooth(self, t: Array) -> Sequence[Estimate]:
         """The estimates at the times t (K,), with all that came after them taken into account."""
@@ -95,6 +108,12 @@ class PowerFilter(ABC):
         m = heard.rssi.shape[1]
         row, t = (np.repeat(a, m) if m != 1 else a for a in (heard.row, heard.t))
         return Power(heard, self._model, self._variance.of(row, heard.antenna.ravel(), t).reshape(heard.rssi.shape), first)
+
+    def _height(self, event: Event) -> Piece:
+        """A height as a measurement of the first point's z. It keeps no row from being lost: it says nothing of where on the floor."""
+        up = np.zeros((1, self._motion.n))
+        up[0, 2] = 1.0
+        return Linear(event.data.height[:, None], up, np.full((len(event), 1), self._config.height_std_m**2))
 
     def _took(self, heard: Heard, used: Array) -> None:
         """Later reads of the same antennas are not quite new evidence."""

@@ -28,7 +28,7 @@ class Level(NamedTuple):
 
 
 class FilterpyTwin(SingleTarget):
-    """Base of the plug-ins on filterpy. Left out: smoothing, which is refused."""
+    """Base of the plug-ins on filterpy. Left out: smoothing and heights, which are refused."""
 
     consumes: ClassVar[frozenset[str]] = frozenset({"reads"})
     components: ClassVar[tuple[str, ...]] = POSITION_VELOCITY
@@ -37,8 +37,8 @@ class FilterpyTwin(SingleTarget):
     def __init__(self, config: FilterConfig, site: Site, rng: np.random.Generator) -> None:
         super().__init__(config, site, rng)
         method = type(self).__module__.rpartition(".")[2]
-        if config.smooth:
-            raise ValueError(f"{method}: there is no smoothing here; take the estimator without _filterpy")
+        if config.smooth or config.height_std_m is not None:
+            raise ValueError(f"{method}: there is neither smoothing nor height here; take the estimator without _filterpy")
         self._model, self._motion = RssiModel(config, site, method), ConstantVelocity(config)
         self._antennas = [i for i, id in enumerate(site.antennas.id) if fnmatchcase(str(id), config.antennas)]
         self._tags = {i for i, id in enumerate(site.tags.id) if fnmatchcase(str(id), config.tags)}

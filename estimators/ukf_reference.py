@@ -40,7 +40,7 @@ class UkfReference(Ukf):
         antennas = len(self._hearing.antennas)
         self._k = config.neighbours or (3 if antennas <= 2 else 2)
         enough_references(site, self._k, "ukf_reference")
-        self.consumes = frozenset({"snapshots", "reference_snapshots"})
+        self.consumes = self.consumes | {"reference_snapshots"}
         self._place = np.hstack([np.eye(3), np.zeros((3, 3))])
 
     def start(self, prior: Prior) -> None:

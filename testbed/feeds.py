@@ -19,7 +19,7 @@ import numpy as np
 from testbed.columns import Array, Table
 from testbed.guidance import Actions
 from testbed.recording import Recording
-from testbed.types import Counts, Heading, Odometry, Ranges, Reads, ReferenceSnapshots, RoundCounts, Rounds, Snapshots
+from testbed.types import Counts, Heading, Heights, Odometry, Ranges, Reads, ReferenceSnapshots, RoundCounts, Rounds, Snapshots
 
 Stream = TypeVar("Stream", bound=Table)
 
@@ -299,6 +299,7 @@ _ROUTES: dict[str, Callable[[Sequence[Recording], float], Feed]] = {
     "odometry": _by_target("odometry", Odometry, "carrier"),
     "heading": _by_target("heading", Heading, "carrier"),
     "ranges": _by_target("ranges", Ranges, "target"),
+    "heights": _by_target("heights", Heights, "carrier"),
     "actions": _by_target("actions", Actions, "target"),
 }
 KINDS = frozenset(_ROUTES)  # what an estimator may name in `consumes`

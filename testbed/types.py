@@ -18,9 +18,9 @@ from testbed.geometry import Boxes, Roads
 from testbed.rng import RowRandom
 
 __all__ = [
-    "POSITION", "POSITION_VELOCITY", "Antennas", "Array", "Counts", "Estimate", "Event", "Heading", "Innovations", "Odometry", "Prior",
-    "Ranges", "Reads", "ReferenceSnapshots", "References", "RoundCounts", "Rounds", "Site", "Snapshots", "Status", "Stream", "Tags",
-    "Targets", "Track", "UpdateInfo",
+    "POSITION", "POSITION_VELOCITY", "Antennas", "Array", "Counts", "Estimate", "Event", "Heading", "Heights", "Innovations",
+    "Odometry", "Prior", "Ranges", "Reads", "ReferenceSnapshots", "References", "RoundCounts", "Rounds", "Site", "Snapshots", "Status",
+    "Stream", "Tags", "Targets", "Track", "UpdateInfo",
 ]  # fmt: skip
 
 POSITION = ("x", "y", "z")  # m, world frame
@@ -131,6 +131,16 @@ class Ranges(Table):
 
 
 @dataclass(frozen=True, eq=False)
+class Heights(Table):
+    """Height over the floor of the body `carrier` (index of a target)."""
+
+    t: Array = column("float64", unit="s")
+    t_arrival: Array = column("float64", unit="s")
+    carrier: Array = column("int32")
+    height: Array = column("float64", unit="m")
+
+
+@dataclass(frozen=True, eq=False)
 class Snapshots(Table):
     """All that the antennas read of a target's tags at one and the same instant; the event of the stream "snapshots".
 
@@ -153,7 +163,7 @@ class ReferenceSnapshots(Table):
     rssi: Array = column("float64", ("N", "R", "M"), "dBm, NaN where not heard")
 
 
-Stream = Reads | Rounds | Counts | Odometry | Heading | Ranges
+Stream = Reads | Rounds | Counts | Odometry | Heading | Ranges | Heights
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,6 +333,16 @@ class Innovations(Table):
 
 
 @dataclass(frozen=True, eq=False)
+class Decisions(Table):
+    """What an estimator announced of its rows: row of the track, when, what ("in", "out", ...), and how likely it held that to be."""
+
+    row: Array = column("int32")
+    t: Array = column("float64", unit="s")
+    what: Array = column("str")
+    probability: Array = column("float64")
+
+
+@dataclass(frozen=True, eq=False)
 class Track(Columns):
     """Estimates stacked over K report times, for B rows (trial, target), and what happened to the events on the way.
 
@@ -342,15 +362,18 @@ class Track(Columns):
     particles: Array = column("float32", ("K", "B", "P", 3), "m", default=0.0)
     components: tuple[str, ...] = POSITION_VELOCITY
     innovations: Innovations = field(default_factory=Innovations.empty)
+    decisions: Decisions = field(default_factory=Decisions.empty)
 
     def take(self, rows: Array) -> Self:
         """The track of some rows (ascending indices)."""
-        keep = np.isin(self.innovations.row, rows)
-        innovations = self.innovations.take(keep)
-        renamed = innovations.with_(row=np.searchsorted(rows, innovations.row).astype(np.int32))
+        beside = {}
+        for name in ("innovations", "decisions"):
+            table = getattr(self, name)
+            kept = table.take(np.isin(table.row, rows))
+            beside[name] = kept.with_(row=np.searchsorted(rows, kept.row).astype(np.int32))
         axis0 = {n: getattr(self, n)[rows] for n in ("trial", "target", "used", "refused", "late", "update_seconds")}
         axis1 = {n: getattr(self, n)[:, rows] for n in ("mean", "covariance", "status", "particles")}
-        return self.with_(**axis0, **axis1, innovations=renamed)
+        return self.with_(**axis0, **axis1, **beside)
 
 
-__all__ += ["RowRandom"]
+__all__ += ["Decisions", "RowRandom"]

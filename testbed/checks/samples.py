@@ -16,7 +16,7 @@ from testbed.geometry import Boxes, Roads
 from testbed.guidance import Actions
 from testbed.recording import Recording
 from testbed.rng import stream
-from testbed.types import Antennas, Counts, Heading, Odometry, Prior, Ranges, Reads, References, Rounds, Site, Tags, Targets
+from testbed.types import Antennas, Counts, Heading, Heights, Odometry, Prior, Ranges, Reads, References, Rounds, Site, Tags, Targets
 
 HALL = np.array([[0.0, 0.0, 0.0], [6.0, 5.0, 3.0]])  # m
 TARGETS = 4  # the last one is a body with two tags
@@ -57,6 +57,7 @@ def recording(trial: int = 0, duration: float = 2.0, latency: float = 0.0, reads
         "odometry": _odometry(rng, duration),
         "heading": _heading(rng, duration),
         "ranges": _ranges(where, rng, duration),
+        "heights": _heights(duration),
     }
     made["actions"] = _actions(duration)
     made["rounds"], made["counts"] = _rounds(where, rng, duration)
@@ -75,7 +76,7 @@ def only(recording: Recording, target: int) -> Recording:
     """The recording as one of a single target: streams that name targets are cut to it."""
     streams: dict[str, Table] = {}
     for kind, table in recording.streams.items():
-        column = {"odometry": "carrier", "heading": "carrier", "ranges": "target", "actions": "target"}.get(kind)
+        column = {"odometry": "carrier", "heading": "carrier", "heights": "carrier", "ranges": "target", "actions": "target"}.get(kind)
         if column is not None:
             mine = table.take(getattr(table, column) == target)
             table = mine.with_(**{column: np.zeros(len(mine))})
@@ -152,6 +153,12 @@ def _actions(duration: float) -> Actions:
     step, turn = np.where(steps, 0.5, 0.0), np.where(steps | (number == 0), 0.0, rng.uniform(-2.0, 2.0, n))
     change = np.where(steps, rng.uniform(-18.0, 9.0, n), np.nan)
     return Actions(t, t, t - 0.2, target, turn, step, steps | (number % 7 != 6), change)
+
+
+def _heights(duration: float) -> Heights:
+    n = int(5.0 * duration) * TARGETS
+    t = (np.arange(n) // TARGETS + 0.5) / 5.0
+    return Heights(t, t, np.arange(n) % TARGETS, np.full(n, 1.0) + 0.05 * np.sin(np.arange(n)))
 
 
 def _arriving(table: Table, rng: np.random.Generator, latency: float) -> Table:

@@ -12,7 +12,7 @@ from testbed.checks import surroundings
 from testbed.checks.common import ConformanceError, configured, require, untouched_globals
 from testbed.columns import Array, Table
 from testbed.protocols import Sensed, Sensor, Surroundings
-from testbed.types import Counts, Heading, Odometry, Ranges, Reads, Rounds
+from testbed.types import Counts, Heading, Heights, Odometry, Ranges, Reads, Rounds
 
 STREAMS: dict[str, type[Table]] = {
     "reads": Reads,
@@ -21,6 +21,7 @@ STREAMS: dict[str, type[Table]] = {
     "odometry": Odometry,
     "heading": Heading,
     "ranges": Ranges,
+    "heights": Heights,
 }
 
 

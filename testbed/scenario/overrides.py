@@ -161,9 +161,9 @@ def combinations(found: Sequence[Choice], singly: bool) -> Iterable[tuple[int, .
 
 
 def varied(document: dict[str, Any], source: Source, found: Sequence[Choice], indices: Sequence[int]) -> tuple[dict[str, Any], Source]:
-    """The document of one point of the sweep, without the sweep."""
+    """The document of one point of the sweep, without the sweep, and without what is published of other points."""
     overrides: list[Override] = []
-    document = {name: value for name, value in document.items() if name != "sweep"}
+    document = {name: value for name, value in document.items() if name not in ("sweep", "published")}
     for (path, loc, steps, values), i in zip(found, indices, strict=True):
         place = source.problem(("sweep", path, i), "")
         document, created = assign(document, loc, values[i])

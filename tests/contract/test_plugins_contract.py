@@ -16,6 +16,7 @@ CONFIGS = {  # of plug-ins that can't do without being told something
     "rfid": {"antennas": [{"position_m": (3.0, 0.0, 1.0), "aim_m": (3.0, 2.0, 0.5)}, {"on": "post"}, {"on": "cart"}]},
     "odometry": {"on": "cart"},
     "compass": {"on": "cart"},
+    "height": {"on": "cart"},
     "handheld": {"on": "cart"},
     "log_distance": {"antennas": [{"position_m": (3.0, 0.0, 1.0)}, {"position_m": (1.0, 4.0, 2.0)}]},
 }
