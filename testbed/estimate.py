@@ -20,10 +20,10 @@ from testbed.columns import Array, Columns
 from testbed.events import Batch, Merge
 from testbed.feeds import feeds
 from testbed.lift import over_rows
-from testbed.protocols import AcceptsLate, Estimator, HasParticles, Smoother
+from testbed.protocols import AcceptsLate, Decides, Estimator, HasParticles, Smoother
 from testbed.recording import Recording
 from testbed.rng import Counter, RowRandom, keys_of
-from testbed.types import Estimate, Event, Innovations, Prior, Site, Track, UpdateInfo
+from testbed.types import Decisions, Estimate, Event, Innovations, Prior, Site, Track, UpdateInfo
 
 
 def run(
@@ -173,7 +173,16 @@ class _Run:
             particles=self._particles,
             components=self._components,
             innovations=innovations.take(np.argsort(innovations.row, kind="stable")),
+            decisions=self._decisions(),
         )
+
+    def _decisions(self) -> Decisions:
+        said = self._estimator.decisions() if isinstance(self._estimator, Decides) else []
+        if not said:
+            return Decisions.empty()
+        row, t, what, probability = (np.array(column) for column in zip(*said, strict=True))
+        found = Decisions(row, t, what, probability)
+        return found.take(np.lexsort((found.t, found.row)))
 
 
 def thinned(position: Array, weight: Array, n: int) -> Array:
@@ -222,7 +231,9 @@ def _assembled(parts: list[Track], rows: Array) -> Track:
     axis1 = {n: np.concatenate([getattr(p, n) for p in parts], axis=1) for n in ("mean", "covariance", "status", "particles")}
     before = np.cumsum([0] + [len(p.trial) for p in parts])
     innovations = [p.innovations.with_(row=p.innovations.row + n) for p, n in zip(parts, before[:-1], strict=True)]
-    whole = parts[0].with_(**axis0, **axis1, innovations=Innovations.concatenate(innovations))
+    decisions = [p.decisions.with_(row=p.decisions.row + n) for p, n in zip(parts, before[:-1], strict=True)]
+    beside = {"innovations": Innovations.concatenate(innovations), "decisions": Decisions.concatenate(decisions)}
+    whole = parts[0].with_(**axis0, **axis1, **beside)
     return _reordered(whole, np.argsort(rows))
 
 
@@ -231,7 +242,11 @@ def _reordered(track: Track, order: Array) -> Track:
     if (order == np.arange(len(order))).all():
         return track
     place = np.argsort(order)
-    renamed = track.innovations.with_(row=place[track.innovations.row].astype(np.int32))
+    beside = {}
+    for name in ("innovations", "decisions"):
+        table = getattr(track, name)
+        renamed = table.with_(row=place[table.row].astype(np.int32))
+        beside[name] = renamed.take(np.argsort(renamed.row, kind="stable"))
     axis0 = {n: getattr(track, n)[order] for n in ("trial", "target", "used", "refused", "late", "update_seconds")}
     axis1 = {n: getattr(track, n)[:, order] for n in ("mean", "covariance", "status", "particles")}
-    return track.with_(**axis0, **axis1, innovations=renamed.take(np.argsort(renamed.row, kind="stable")))
+    return track.with_(**axis0, **axis1, **beside)

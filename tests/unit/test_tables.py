@@ -13,7 +13,7 @@ import testbed.scene
 import testbed.types
 from testbed import tables
 from testbed.columns import Columns, Table
-from testbed.types import POSITION, Innovations, Reads, Roads, Track
+from testbed.types import POSITION, Decisions, Innovations, Reads, Roads, Track
 
 TYPES = sorted(
     {
@@ -53,6 +53,8 @@ def values(draw, kind):
             arguments[f.name] = raw(draw, f.metadata["dtype"], shape)
         elif f.name == "innovations":
             arguments[f.name] = draw(values(Innovations))
+        elif f.name == "decisions":
+            arguments[f.name] = draw(values(Decisions))
         else:
             arguments[f.name] = draw(OTHER_FIELDS[f.name])
     with np.errstate(all="ignore"):  # any bits at all: Truth aligns the signs of whatever quaternions it gets
@@ -138,7 +140,7 @@ def test_units_and_the_type_stand_in_the_file(tmp_path):
 
 def test_a_track_lies_in_one_file_per_leading_dimension(tmp_path):
     written = tables.write(track(), tmp_path / "track.parquet")
-    assert sorted(p.name for p in written) == ["track.B.parquet", "track.innovations.parquet", "track.parquet"]
+    assert sorted(p.name for p in written) == ["track.B.parquet", "track.decisions.parquet", "track.innovations.parquet", "track.parquet"]
     assert pq.read_table(tmp_path / "track.parquet").num_rows == 3
     assert pq.read_table(tmp_path / "track.B.parquet").column("target").to_pylist() == ["a", "b"]
     same(track(), tables.read(tmp_path / "track.parquet"))
