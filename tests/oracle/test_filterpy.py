@@ -43,6 +43,45 @@ def test_a_whole_run_equals_filterpys(kind, options):
         assert a.refused.min() > 3
 
 
+METRES = {"measure": "distance", "reference_dbm": -35.0, "process_noise": "piecewise_acceleration"}
+TOGETHER = [
+    ("ekf", PLAIN | {"curvature_noise": False}),
+    ("ekf", {}),
+    ("ekf", METRES | {"curvature_noise": True, "gate": "none"}),
+    ("ekf", METRES | {"curvature_noise": False, "antennas": "s*", "distance_std_m": 0.8}),
+    ("ukf", {}),
+    ("ukf", PLAIN | {"antennas": "*east", "tags": "tag[0-3]"}),
+    ("ukf", METRES | {"alpha": 1.0, "beta": 0.0, "gate": "none"}),
+    ("ukf", METRES | {"gate": 0.6}),
+]
+
+
+def simultaneous(trial):
+    """The checks' recording with reads at tenths of a second: several of a target at most instants."""
+    made = samples.recording(trial, duration=3.0, reads_hz=12.0)
+    reads = made.streams["reads"]
+    t = np.round(reads.t, 1)
+    made.streams["reads"] = reads.with_(t=t, t_arrival=t)
+    return made
+
+
+@pytest.mark.parametrize(("kind", "options"), TOGETHER)
+def test_reads_taken_together_equal_filterpys_vector_update(kind, options):
+    recordings = [simultaneous(trial) for trial in range(2)]
+    prior, seeds = samples.prior(recordings), row_seeds(1, recordings, kind)
+    ours, theirs = plugins.load("estimators", kind), plugins.load("estimators", f"{kind}_filterpy")
+    config = ours.Config(together=True, **options)
+    a, b = (run(recordings, method, config, prior, seeds) for method in (ours, theirs))
+    np.testing.assert_allclose(a.mean, b.mean, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(a.covariance, b.covariance, rtol=0, atol=1e-8)
+    for name in ("status", "used", "refused"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+    np.testing.assert_array_equal(a.innovations.dof, b.innovations.dof)
+    np.testing.assert_allclose(a.innovations.nis, b.innovations.nis, rtol=1e-7, atol=1e-8)
+    assert a.used.min() > 5
+    assert a.innovations.dof.max() > 1
+
+
 # ---------------------------------------------------------------- vectors of distances, the trolley scenario of Nick and Götze
 
 WAY = np.array([[3, 1.5, 0.75], [3, 2.5, 1.75], [2, 3.5, 0.75]])
