@@ -30,7 +30,8 @@ class ReaderGrid(BaseHall):
 
     Bodies: reader1, reader2, ... in the middles of the cells, along x first, each with antenna mounts a0 ... a3 on the corners of its cell,
     anticlockwise from the lower left, that face its middle; with 3 antennas corner (ix + 2 iy) mod 4 is left out. rack1, ... in
-    the middles of the cells, unless rack_bays is 0. walker1, ...: points that move at random, each with a tag mount "tag", without a body.
+    rack_rows rows, evenly over each cell, unless rack_bays is 0. walker1, ...: points without a body that move at random, each with a
+    tag mount "tag".
     """
 
     class Config(quantity.Config):
@@ -48,6 +49,7 @@ class ReaderGrid(BaseHall):
         antenna_height_m: Annotated[Metres, Field(ge=0.2, le=12)] = 1.5
         height_m: Annotated[Metres, Field(ge=3, le=30)] = 6.0
         rack_bays: Annotated[int, Field(ge=0, le=20)] = 0
+        rack_rows: Annotated[int, Field(ge=1, le=6)] = 1
         rack_levels: Annotated[int, Field(ge=1, le=4)] = 3
         rack_yaw_deg: Annotated[quantity.Degrees, Field(ge=-180, le=180)] = 0.0
         fill: Annotated[float, Field(ge=0, le=1)] = 1.0
@@ -69,9 +71,9 @@ class ReaderGrid(BaseHall):
                 raise ValueError(f"start_margin_m {self.start_margin_m:g} must lie between margin_m and half of side_m {self.side_m:g}")
             if self.antenna_height_m >= self.height_m - 0.2:
                 raise ValueError(f"antennas at {self.antenna_height_m:g} m don't fit under height_m {self.height_m:g}")
-            if self.rack_bays * (BAY + 0.1) + 1.0 > self.side_m / self.cells:
+            if max(self.rack_bays * (BAY + 0.1) + 1.0, self.rack_rows * (DEPTH + 1.0) * (self.rack_bays > 0)) > self.side_m / self.cells:
                 raise ValueError(
-                    f"{self.rack_bays} bays of {BAY:g} m don't leave a way round the rack in a cell of {self.side_m / self.cells:g} m"
+                    f"{self.rack_rows} racks of {self.rack_bays} bays leave no way round them in a cell of {self.side_m / self.cells:g} m"
                 )
             return self
 
@@ -85,9 +87,10 @@ class ReaderGrid(BaseHall):
         if not c.rack_bays:
             return readers
         shape, yaw = RackSize(c.rack_bays, c.rack_levels, BAY, DEPTH), np.deg2rad(c.rack_yaw_deg)
+        places = [(x - np.sin(yaw) * off, y + np.cos(yaw) * off) for x, y, _ in middles for off in _rows(c)]
         racks = [
             rack(f"rack{i}", floor_pose(x, y, yaw), shape, c.fill, c.liquid, rng.stream(c.layout_seed, 0, f"rack{i}"))
-            for i, (x, y, _) in enumerate(middles, start=1)
+            for i, (x, y) in enumerate(places, start=1)
         ]
         return [*readers, *racks]
 
@@ -173,14 +176,20 @@ def track(config: ReaderGrid.Config, t: Array, random: np.random.Generator) -> A
 
 
 def _in_rack(config: ReaderGrid.Config, place: Array) -> Array:
-    """(K,) bool: whether places (K, 2) are within rack_margin_m of the rack of their cell."""
+    """(K,) bool: whether places (K, 2) are within rack_margin_m of a rack of their cell."""
     if not config.rack_bays:
         return np.zeros(len(place), dtype=bool)
     size, yaw = config.side_m / config.cells, np.deg2rad(config.rack_yaw_deg)
     x, y = (place % size - size / 2).T
     along, across = np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x
     shape = RackSize(config.rack_bays, config.rack_levels, BAY, DEPTH)
-    return (np.abs(along) <= shape.length / 2 + config.rack_margin_m) & (np.abs(across) <= DEPTH / 2 + config.rack_margin_m)
+    apart = np.abs(across - _rows(config)[:, None]).min(axis=0)
+    return (np.abs(along) <= shape.length / 2 + config.rack_margin_m) & (apart <= DEPTH / 2 + config.rack_margin_m)
+
+
+def _rows(config: ReaderGrid.Config) -> Array:
+    """(rack_rows,) m: how far the rows of racks of a cell are from its middle."""
+    return config.side_m / config.cells * ((np.arange(config.rack_rows) + 0.5) / config.rack_rows - 0.5)
 
 
 def _heading(config: ReaderGrid.Config, random: np.random.Generator) -> Array:
