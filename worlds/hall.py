@@ -11,9 +11,11 @@ import numpy as np
 
 from testbed import quantity
 from testbed.columns import Array
+from testbed.errand import Errand
 from testbed.geometry import Boxes, Mounts, Roads, Zones
 from testbed.protocols import ActorPlan, Caster, Renderer
 from testbed.scene import Body, Scene, Truth
+from worlds.errands import gate_pose
 from worlds.motion import Mover
 from worlds.parts import MATERIALS, Part
 from worlds.roads import check_walk
@@ -51,7 +53,11 @@ class BaseHall(ABC):
         """The hall with its actors at rest. ValueError where two things share a name, or an actor can't walk here as it should."""
         for plan in actors:
             check_walk(plan.id, plan.route, plan.motion, self.roads())
-        return assemble([*self.parts(), *map(_actor_part, actors)], actors, self.bounds(), self.zones(), self.roads())
+        scene = assemble([*self.parts(), *map(_actor_part, actors)], actors, self.bounds(), self.zones(), self.roads())
+        for plan in actors:
+            if isinstance(plan.route, Errand):
+                gate_pose(scene, plan.id, plan.route.gate)
+        return scene
 
     def move(
         self,

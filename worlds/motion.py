@@ -13,11 +13,12 @@ import numpy as np
 
 from testbed import rng
 from testbed.columns import Array
-from testbed.geometry import Roads
+from testbed.errand import Errand
 from testbed.protocols import ActorPlan
 from testbed.roads import nearest_segment
 from testbed.scene import Scene, Truth
 from testbed.walk import RoadWalk
+from worlds.errands import errand_trip, gate_pose
 from worlds.paths import Trip, plan
 from worlds.roads import PointTrip, walk
 from worlds.steady import SteadyTrip, steady
@@ -43,7 +44,7 @@ class Mover:
         if step_hz % truth_hz:
             raise ValueError(f"truth_hz {truth_hz} does not divide step_hz {step_hz}: every truth has to fall on a step")
         trips: dict[str, Any] = {
-            a.id: _trip(a.route, scene.roads, duration, rng.stream(root, trial, f"actors.{a.id}.route"))
+            a.id: _trip(a, scene, duration, rng.stream(root, trial, f"actors.{a.id}.route"))
             for a in actors
             if a.motion in ("kinematic", "dynamic")
         }
@@ -75,8 +76,11 @@ class Mover:
             self._client = None
 
 
-def _trip(route: Any, roads: Roads | None, duration: float, random: np.random.Generator) -> Trip | PointTrip | SteadyTrip:
-    """A trial's trip along a route, or along the roads for an actor that wanders."""
+def _trip(actor: ActorPlan, scene: Scene, duration: float, random: np.random.Generator) -> Trip | PointTrip | SteadyTrip:
+    """A trial's trip along a route, on an errand at a gate, or along the roads for an actor that wanders."""
+    route, roads = actor.route, scene.roads
+    if isinstance(route, Errand):
+        return errand_trip(route, gate_pose(scene, actor.id, route.gate), random)
     if not isinstance(route, RoadWalk):
         return steady(route, random) if route.pace == "steady" else plan(route, random)
     if roads is None:

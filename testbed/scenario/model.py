@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, Field, PrivateAttr, model_validator
 
+from testbed.errand import Errand
 from testbed.guided.section import GuidedWalk
 from testbed.quantity import Config, Degrees, Hertz, Metres, MetresPerSecond, Point2, Point3, Seconds
 from testbed.route import Route
@@ -133,6 +134,7 @@ class ActorModel(Config):
     motion: Literal["dynamic", "kinematic", "parked", "guided"]
     route: Route | None = None
     walk: RoadWalk | None = None
+    errand: Errand | None = None
     guided: GuidedWalk | None = None
     position_m: Point2 | None = None
     yaw_deg: Degrees = 0.0
@@ -143,27 +145,32 @@ class ActorModel(Config):
         if (self.guided is not None) != (self.motion == "guided"):
             raise ValueError("motion guided and the section guided, with how well the person follows, belong together")
         if self.motion == "guided":
-            if self.route is not None or self.walk is not None:
-                raise ValueError("a guided actor goes where its guide says: remove its route or walk")
+            if self._ways():
+                raise ValueError(f"a guided actor goes where its guide says: remove its {self._ways()[0]}")
             if self.position_m is None and self.guided is not None and self.guided.start_distance_m is None:
                 raise ValueError("a guided actor starts at its position_m, or at start_distance_m from the tag: give one")
         elif self.motion == "parked":
             if self.position_m is None:
                 raise ValueError("a parked actor needs position_m, [x, y] in metres")
-            for name in ("route", "walk"):
-                if getattr(self, name) is not None:
-                    raise ValueError(f"a parked actor has no {name}: remove it, or set motion to kinematic or dynamic")
+            for name in self._ways():
+                raise ValueError(f"a parked actor has no {name}: remove it, or set motion to kinematic or dynamic")
         else:
-            if self.route is None and self.walk is None:
-                raise ValueError(f"motion {self.motion} needs a route, with its waypoints_m (or a walk, where the world has roads)")
-            if self.route is not None and self.walk is not None:
-                raise ValueError("a route and a walk are two ways to go: remove one of them")
+            if not self._ways():
+                raise ValueError(
+                    f"motion {self.motion} needs a route, with its waypoints_m (or a walk along roads, or an errand at a gate)"
+                )
+            if len(self._ways()) > 1:
+                raise ValueError(f"a {self._ways()[0]} and a {self._ways()[1]} are two ways to go: remove one of them")
             extra = {"position_m", "yaw_deg"} & self.model_fields_set
             if extra:
                 raise ValueError(f"{min(extra)} is for parked actors: this one starts at its first way point")
             if self.motion == "dynamic" and self.route is not None and self.route.pace == "steady":
                 raise ValueError("pace steady is for motion kinematic: no body with a mass goes round a sharp corner at full speed")
         return self
+
+    def _ways(self) -> list[str]:
+        """Names of the sections that say how it goes."""
+        return [name for name in ("route", "walk", "errand") if getattr(self, name) is not None]
 
 
 class Document(Config):
@@ -212,13 +219,13 @@ class Section:
 class ActorSection:
     """An actor of a scenario. `tags` are in its own frame and have `on` set to its id; position and yaw are those of a parked one.
 
-    `route` is a walk for one that wanders, and how it follows instructions for one that is guided.
+    `route` is a walk for one that wanders, an errand for one that has one, and how it follows instructions for one that is guided.
     """
 
     id: str
     kind: str
     motion: str
-    route: Route | RoadWalk | GuidedWalk | None
+    route: Route | RoadWalk | Errand | GuidedWalk | None
     position_m: tuple[float, float] | None
     yaw_deg: float
     config: BaseModel

@@ -47,9 +47,9 @@ def actor(raw: Any, loc: Loc, review: Review) -> ActorSection | None:
     if model is None or config is None:
         return None
     return ActorSection(
-        model.id, model.kind, model.motion, model.route or model.walk or model.guided, model.position_m, model.yaw_deg, config, own_tags,
-        loc,
-    )
+        model.id, model.kind, model.motion, model.route or model.walk or model.errand or model.guided, model.position_m, model.yaw_deg,
+        config, own_tags, loc,
+    )  # fmt: skip
 
 
 def every(raw: Any, loc: Loc, review: Review, make: Callable[[Any, Loc], Any]) -> list[Any]:
