@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimators.ekf import curvature_noise
+from estimators.measurements import curvature_noise
 from estimators.rssi_model import ReadVariance, RssiConfig, RssiModel
 from testbed import frames
 from testbed.checks import samples

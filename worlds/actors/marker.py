@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
 
 from testbed import quantity
 from testbed.geometry import Boxes, Mounts
 from testbed.quantity import Metres
-from worlds.parts import MATERIALS, Builder
+from worlds.parts import MATERIALS, STAND_OFF, Builder
 
 
 class Marker:
-    """A cube of `size_m` that stands on its own origin, which may be above the floor. No mounts: tags have positions.
+    """A cube of `size_m` that stands on its own origin, which may be above the floor. One tag mount, top.
 
     Left out: everything that a body does to a radio link, unless it stands in the way of one.
     """
@@ -26,11 +27,12 @@ class Marker:
         half = config.size_m / 2
         self._built = Builder()
         self._built.box("carton", (-half, -half, 0.0), (half, half, config.size_m))
+        self._built.mount("top", (0.0, 0.0, config.size_m + STAND_OFF), pitch=-np.pi / 2)
 
     def boxes(self) -> tuple[Boxes, tuple[str, ...]]:
         """One box in the body frame and the names of the materials."""
         return self._built.boxes(), MATERIALS
 
     def mounts(self) -> Mounts:
-        """None."""
+        """A place for a tag."""
         return self._built.mounts()
