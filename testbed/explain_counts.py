@@ -8,7 +8,7 @@ import numpy as np
 
 from testbed.protocols import Surroundings
 from testbed.radio import logistic_beta
-from testbed.sensors.counting import CountingConfig, Model, Shade, blocks_of
+from testbed.sensors.counting import CountingConfig, Model, Shade, blocks_of, but_for_dead_zones
 from testbed.sensors.rfid import Rfid
 
 
@@ -56,8 +56,11 @@ def block_of(sensor: Rfid, around: Surroundings, antenna: int, tag: int, t: floa
     which, end = np.array([tag]), blocks.end[place]
     model = Model(config, sensor.id, sensor.antennas(), sensor.ends, around)
     g = np.zeros(1)
-    if config.geometry:
-        g = Shade(around, sensor.antennas(), sensor.ends, sensor.frequencies()).of(around, blocks.antenna[place], which, end)
+    shade = Shade(around, sensor.antennas(), sensor.ends, sensor.frequencies()) if config.geometry else None
+    if shade is not None and config.geometry == "averaged":
+        g[:] = but_for_dead_zones(config, sensor.id, sensor.antennas(), sensor.ends, around, shade, blocks)[3][:1].sum()
+    elif shade is not None:
+        g = shade.of(around, blocks.antenna[place], which, end)
     alive, distance, angle = model.alive(blocks, place, which)
     dead, residual = model.dead(blocks, place, which, g)
     return Block(

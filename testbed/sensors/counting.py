@@ -36,8 +36,9 @@ class CountingConfig(Config):
     """`detection: {kind: logistic_beta}`. The defaults are the paper's where it says them, and those of its study where it does not.
 
     offset_s: the ends of blocks within their slot are drawn from this window. geometry: whether what stands in the way makes dead
-    zones (`g`); without, only the residual one is left. late_share: of the blocks of a reader so many are reported `late_periods`
-    (a whole number between the two) slots after their end; stamped: the time that a report bears, that of its end or of its arrival.
+    zones (`g`); without, only the residual one is left; averaged: every count has the mean g of its trial, so that as many die, but
+    anywhere. late_share: of the blocks of a reader so many are reported `late_periods` (a whole number between the two) slots after
+    their end; stamped: the time that a report bears, that of its end or of its arrival.
     """
 
     kind: Literal["logistic_beta"] = "logistic_beta"
@@ -45,7 +46,7 @@ class CountingConfig(Config):
     period_s: Annotated[Seconds, Field(gt=0, le=3600)] = 1.0
     offset_s: tuple[Annotated[Seconds, Field(ge=0)], Annotated[Seconds, Field(ge=0)]] = (0.2, 0.8)
     dead_zone: DeadZoneConfig = DeadZoneConfig()
-    geometry: bool = True
+    geometry: bool | Literal["averaged"] = True
     late_share: Share = 0.0
     late_periods: tuple[Annotated[int, Field(ge=0, le=100)], Annotated[int, Field(ge=0, le=100)]] = (1, 2)
     stamped: Literal["end", "arrival"] = "end"
@@ -136,16 +137,13 @@ def counted(
     """
     names, reader = np.unique(reader_names(around.scene, antennas, sensor), return_inverse=True)
     blocks = blocks_of(config, sensor, antennas, around)
-    step = max(1, CELLS // max(1, len(around.tagged.tags)))
-    shade = shade if config.geometry else None
-    parts = [_counts(config, sensor, antennas, ends, around, shade, blocks, np.arange(i, min(i + step, len(blocks.slot))))
-             for i in range(0, len(blocks.slot), step)]  # fmt: skip
-    block, tag, n, shut = (np.concatenate([p[i] for p in parts]) if parts else np.empty(0) for i in range(4))
+    block, tag, n, shut = but_for_dead_zones(config, sensor, antennas, ends, around, shade, blocks)
+    n = np.where(Model(config, sensor, antennas, ends, around).dead(blocks, block, tag, shut)[0], 0, n)
     rounds = _rounds(config, _draws(around, sensor, "late"), keys_of(names), blocks, reader, len(names), first_antenna)
     alive = n > 0
     counts = Counts(
-        round=rounds.round[block[alive].astype(np.int64)],
-        antenna=blocks.antenna[block[alive].astype(np.int64)] + first_antenna,
+        round=rounds.round[block[alive]],
+        antenna=blocks.antenna[block[alive]] + first_antenna,
         tag=tag[alive],
         n=n[alive],
     )
@@ -160,6 +158,19 @@ def _draws(around: Surroundings, sensor: str, what: str) -> Counter:
     return Counter(around.root, around.trial, f"sensors.{sensor}.{what}")
 
 
+def but_for_dead_zones(
+    config: CountingConfig, sensor: str, antennas: Antennas, ends: Ends, around: Surroundings, shade: Shade | None, blocks: Blocks
+) -> tuple[Array, Array, Array, Array]:
+    """(block, tag, n, g) of all counts of a trial that are not 0 but for dead zones, and how far geometry closes their ways."""
+    step = max(1, CELLS // max(1, len(around.tagged.tags)))
+    shade = shade if config.geometry else None
+    parts = [_counts(config, sensor, antennas, ends, around, shade, blocks, np.arange(i, min(i + step, len(blocks.slot))))
+             for i in range(0, len(blocks.slot), step)]  # fmt: skip
+    block, tag, n = (np.concatenate([np.empty(0, dtype=np.int64), *(p[i] for p in parts)]) for i in range(3))
+    g = np.concatenate([np.empty(0), *(p[3] for p in parts)])
+    return block, tag, n, np.full(len(g), g.mean()) if config.geometry == "averaged" and len(g) else g
+
+
 def _counts(
     config: CountingConfig,
     sensor: str,
@@ -170,15 +181,14 @@ def _counts(
     blocks: Blocks,
     which: Array,
 ) -> tuple[Array, Array, Array, Array]:
-    """(block, tag, n, g) of those of the blocks `which` that are not 0 but for dead zones; n is 0 where one holds."""
+    """(block, tag, n, g) of those of the blocks `which` that are not 0 but for dead zones."""
     everyone = np.arange(len(around.tagged.tags))
     block, tag = np.repeat(which, len(everyone)), np.tile(everyone, len(which))
-    model = Model(config, sensor, antennas, ends, around)
-    n = model.alive(blocks, block, tag)[0]
+    n = Model(config, sensor, antennas, ends, around).alive(blocks, block, tag)[0]
     found = np.flatnonzero(n)
     block, tag, n = block[found], tag[found], n[found]
     g = np.zeros(len(found)) if shade is None else shade.of(around, blocks.antenna[block], tag, blocks.end[block])
-    return block, tag, np.where(model.dead(blocks, block, tag, g)[0], 0, n), g
+    return block, tag, n, g
 
 
 class Model:

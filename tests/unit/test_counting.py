@@ -107,6 +107,16 @@ def test_a_link_wholly_in_the_shadow_is_dead_and_geometry_can_be_turned_off():
     assert (table(sensed({"geometry": False}, wall=wall)[0]) == table(sensed()[0])).all()
 
 
+def test_averaged_dead_zones_are_as_many_and_fall_anywhere():
+    """4.5 σ of the difference of two shares: fails once in 100,000 seeds."""
+    wall = ((-1.0, 0.5, 0.0), (7.0, 0.7, 9.0))
+    free, there, anywhere = (table(sensed(c, w)[0]) for c, w in (({}, None), ({}, wall), ({"geometry": "averaged"}, wall)))
+    read = free > 0
+    lost = [1 - (n[read] > 0).mean() for n in (there, anywhere)]
+    assert lost[1] == pytest.approx(lost[0], abs=4.5 * np.sqrt(lost[0] * (1 - lost[0]) / read.sum()))
+    assert (anywhere[:, 0, 0] > 0).any() > (there[:, 0, 0] > 0).any()
+
+
 def test_antennas_of_one_body_are_one_reader_and_end_together():
     rules = [{"on": "north"}, {"on": "south"}, {"position_m": [1, 1, 1]}, {"position_m": [2, 1, 1]}]
     found, around, antennas = sensed(rules=rules, first=7)
