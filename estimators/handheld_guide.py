@@ -63,6 +63,7 @@ class Guide(ABC):
         rows = prior.rows
         self.rows, self.moved = rows, np.zeros(rows, dtype=bool)
         self._heard, self._silent = np.zeros(rows, dtype=bool), np.zeros(rows, dtype=np.int64)
+        self._blind = np.zeros(rows, dtype=np.int64)  # steps in a row without an answer
         self._said, self._known = np.zeros(rows, dtype=np.int8), np.zeros(rows, dtype=bool)
         self._stepping = np.zeros(rows, dtype=bool)  # whether the last action was a step
         self._change, self._trusted = np.full(rows, np.nan), np.zeros(rows, dtype=bool)
@@ -107,6 +108,7 @@ class Guide(ABC):
             self._said[rows[missing]] = np.maximum(said, self._said[rows[missing]])
         self._heard[rows], self._stepping[rows], self.moved[rows] = actions.heard, True, True
         self._silent[rows] = ~np.asarray(actions.heard)
+        self._blind[rows] = np.where(actions.heard, 0, self._blind[rows] + 1)
         self._change[rows], self._trusted[rows] = change, trusted & np.isfinite(change)
         self._stepped(rows, np.asarray(actions.step), change, spread, self._trusted[rows])
 
@@ -124,7 +126,8 @@ class Guide(ABC):
         mute = ~self._known | lost | stopped
         said = np.where(lost & ~stopped, NO_ANSWER, np.array(_SENTENCES, dtype=np.str_)[self._said])
         nowhere = mute | ~self._heard | ~self.moved
-        return Advice(np.where(mute, np.nan, told), np.where(mute, 0.0, self._length()), np.where(nowhere, np.nan, aim), said)
+        led = self._led() & ~mute
+        return Advice(np.where(mute, np.nan, told), np.where(mute, 0.0, self._length()), np.where(nowhere, np.nan, aim), said, led)
 
     def followed(self) -> tuple[Array, Array]:
         """Of the last step: how far the phase turned (B,) rad, and whether that is trusted (B,)."""
@@ -139,6 +142,10 @@ class Guide(ABC):
     def _search(self) -> Array:
         """(B,) rad: what a silent row turns by."""
         return np.full(self.rows, np.deg2rad(self.config.search_deg))
+
+    def _led(self) -> Array:
+        """(B,) whether a silent row should go on where it is told: not unless a method knows why."""
+        return np.zeros(self.rows, dtype=bool)
 
     def _length(self) -> Array:
         """(B,) m: the step to ask for."""

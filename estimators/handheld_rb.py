@@ -39,6 +39,8 @@ class HandheldRb(Guide):
         farthest_m  : how far away the tag may be at the start
         phase_std_deg : of a change of phase over a step
         wrong_steps : how often that is something else altogether
+        answers     : how often a tag within the beam answers at all: below 1 silence says less, as where racks stand
+        blind_steps : so many steps the person goes on without an answer, by what was heard before
         edge_deg    : over how much of an angle the beam's edge is soft; beam_deg None: the tag answers all round
         fresh       : share of particles that begin anew whenever there is a choice among them
         explore     : weight of the spread in the rule of control; 0 goes straight for the mean
@@ -53,6 +55,8 @@ class HandheldRb(Guide):
         wrong_steps: Annotated[float, Field(ge=0, lt=1)] = 0.02
         beam_deg: Annotated[Degrees, Field(gt=0, le=360)] | None = 180.0
         edge_deg: Annotated[Degrees, Field(gt=0, le=90)] = 10.0
+        answers: Annotated[float, Field(gt=0, le=0.99)] = 0.99
+        blind_steps: Annotated[int, Field(ge=0, le=1000)] = 0
         fresh: Annotated[float, Field(ge=0, lt=1)] = 0.02
         explore: Annotated[float, Field(ge=0, le=10)] = 1.0
         shortest_m: Annotated[Metres, Field(gt=0, le=2)] = 0.15
@@ -85,7 +89,7 @@ class HandheldRb(Guide):
         if c.beam_deg is None:
             return np.ones_like(bearing)
         off = (np.abs(bearing) - np.deg2rad(c.beam_deg) / 2) / (np.deg2rad(c.edge_deg) / 4)
-        inside = 0.01 + 0.98 / (1 + np.exp(np.clip(off, -40, 40)))
+        inside = 0.01 + (c.answers - 0.01) / (1 + np.exp(np.clip(off, -40, 40)))
         return np.where(heard[:, None], inside, 1 - inside)
 
     def _stepped(self, rows: Array, step: Array, change: Array, spread: Array, trusted: Array) -> None:
@@ -140,7 +144,12 @@ class HandheldRb(Guide):
 
         Silent again and again the belief is wrong, and angles by the golden section come by all directions.
         """
-        return np.where(self._silent >= SWEEP_AFTER, GOLDEN, np.where(self.moved, self._told, super()._search()))
+        lost = (self._silent >= SWEEP_AFTER) & ~self._led()
+        return np.where(lost, GOLDEN, np.where(self.moved, self._told, super()._search()))
+
+    def _led(self) -> Array:
+        """Where something hides the tag, its place is remembered for some steps."""
+        return self.moved & ~self._heard & (self._blind < self.config.blind_steps)
 
     def _length(self) -> Array:
         """Shorter steps where the tag may be nearer than a step."""

@@ -16,19 +16,26 @@ import numpy as np
 from testbed.columns import Array
 from testbed.guidance import Actions, Advice
 from testbed.guided.ears import Ear, Heard, PlainEar, StreamEar
+from testbed.guided.ground import Ground
 from testbed.guided.log import Log, actions_of, truth_of
+from testbed.guided.radio import RadioEar
+from testbed.guided.record import Walk
 from testbed.guided.section import GuidedWalk, guided_actor
 from testbed.guided.walkers import Walkers, started
 from testbed.recording import Recording, Trial
 from testbed.rng import Counter, RowRandom, keys_of
-from testbed.scene import WORLD
+from testbed.scene import WORLD, Truth
 from testbed.sensors.handheld import Handheld
+from testbed.sensors.rfid import Rfid
 from testbed.types import Event, Prior, Reads, Track
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario, Section
     from testbed.scenario.model import ActorSection
     from testbed.simulate import Simulator
+
+
+ON = 0.5  # m: of a step that nobody asked for
 
 
 def check(scenario: Scenario, simulator: Simulator) -> None:
@@ -61,7 +68,10 @@ def _sensor(scenario: Scenario, simulator: Simulator) -> Any:
     for sensor in simulator.sensors:
         if isinstance(sensor, Handheld) and sensor.config.on == actor.id:
             return sensor
-    raise scenario.problem(actor.loc, f"{actor.id!r} carries no reader: add a sensor of kind handheld that is on {actor.id}")
+        if isinstance(sensor, Rfid) and actor.id in {str(c) for c in sensor.antennas().carrier}:
+            return sensor
+    message = f"{actor.id!r} carries no reader: add a handheld sensor, or an rfid one with an antenna on {actor.id}"
+    raise scenario.problem(actor.loc, message)
 
 
 def walk(
@@ -96,11 +106,14 @@ class _Loop:
         self._ear = self._listening()
         seeds = [Counter(root, int(n), f"estimators.{section.id}").bits(keys_of([self._name]))[0] for n in numbers]
         self._guide = method(section.config, simulator.site(root, int(numbers[0])), RowRandom(np.array(seeds, dtype=np.uint64)))
-        self._log = Log(self._people, particles)
+        self._log, self._ground = Log(self._people, particles), Ground(simulator.scene, self._config.room_m)
+        self._side, self._walked_on = np.zeros(len(numbers), dtype=np.int64), np.zeros(len(numbers), dtype=np.int64)
         self._seconds = 0.0
 
     def _listening(self) -> Ear:
         sensor = _sensor(self._scenario, self._simulator)
+        if isinstance(sensor, Rfid):
+            return RadioEar(sensor, self._simulator, self._config, self._actor.id, self._numbers, self._people)
         arguments = (sensor.config, self._scenario.seed, self._numbers, sensor.id, self._people)
         return PlainEar(*arguments) if sensor.config.reports == "changes" else StreamEar(*arguments, self._config.pause_s)
 
@@ -111,38 +124,69 @@ class _Loop:
         rows, nothing = np.arange(n), np.zeros(n)
         self._guide.start(Prior(nothing, np.zeros((n, 6)), np.tile(np.eye(6), (n, 1, 1))))
         people.t[:] = c.pause_s
-        hears = self._told(rows, "start", nothing, nothing, self._ear.heard(people, rows, nothing), nothing)
+        hears = self._told(rows, "start", nothing, nothing, self._ear.heard(people, rows, nothing), nothing).copy()
         active = np.ones(n, dtype=bool)
         while active.any():
             advice = self._guide.suggest()
             self._log.aimed(advice)
             rows = np.flatnonzero(active)
-            active[rows[np.isnan(advice.turn[rows]) & (advice.step[rows] == 0)]] = False  # there is no direction: the person gives up
-            rows = rows[active[rows]]
-            turning = rows[np.isfinite(advice.turn[rows])]
-            if len(turning):
-                hears[turning] = self._turned(turning, advice)
+            lost = rows[np.isnan(advice.turn[rows]) & (advice.step[rows] == 0)]  # there is no direction
+            on = lost[~hears[lost] & (self._walked_on[lost] < c.walks_on)]
+            active[lost[~np.isin(lost, on)]] = False
+            if len(on):
+                self._walked_on[on] += 1
+                hears[on] = self._walk_on(on, advice)
+            rows = np.setdiff1d(rows, lost)
+            informed, round_it = self._informed(rows, advice, hears[rows] | advice.led[rows])
+            turns = np.isfinite(advice.turn[rows]) | (informed != 0)
+            if turns.any():
+                hears[rows[turns]] = self._turned(rows[turns], informed[turns], advice)
                 self._log.aimed(self._guide.suggest())
-            stepping = rows[hears[rows] & (advice.step[rows] > 0)]
-            if len(stepping):
-                hears[stepping] = self._stepped(stepping, advice, active)
+            stepping = rows[(hears[rows] | round_it | advice.led[rows]) & (advice.step[rows] > 0)]  # who goes round something sees the way
+            steps = self._ground.free(people, stepping, advice.step[stepping])
+            if (steps > 0).any():
+                stepping, steps = stepping[steps > 0], steps[steps > 0]
+                hears[stepping] = self._stepped(stepping, steps, advice)
+                active[stepping[people.range(stepping) < c.found_m]] = False
             active &= (people.steps < c.most_steps) & (people.turns < c.most_turns) & (people.t < self._scenario.duration_s)
         self._log.aimed(self._guide.suggest())
         return self._result(set(keep))
 
-    def _turned(self, rows: Array, advice: Advice) -> Array:
-        """They turn as they were told, or by what they say that they did instead; whether they hear the tag then."""
+    def _walk_on(self, rows: Array, advice: Advice) -> Array:
+        """They walk on a little of their own accord, the freest way from where they look on, and say so. Whether the tag answers there."""
+        people, step = self._people, np.full(len(rows), ON)
+        turn = self._ground.round(people, rows, np.zeros(len(rows)), step, self._side)
+        turning = rows[turn != 0]
+        hears = np.zeros(len(rows), dtype=bool)
+        if len(turning):
+            hears[turn != 0] = self._turned(turning, turn[turn != 0], advice)
+        free = self._ground.free(people, rows, step)
+        if (free > 0).any():
+            hears[free > 0] = self._stepped(rows[free > 0], free[free > 0], advice)
+        return hears
+
+    def _informed(self, rows: Array, advice: Advice, goes: Array) -> tuple[Array, Array]:
+        """(R,) rad: the turns that people mean to take, and say so: what they were told, or another way where that one is not free; which.
+
+        Whoever only turns to search turns as told, for a turn needs no room; `goes` (R,) are the others.
+        """
+        told = self._people.detoured(rows, np.nan_to_num(advice.turn[rows]))
+        found = told.copy()
+        found[goes] = self._ground.round(self._people, rows[goes], told[goes], advice.step[rows[goes]], self._side)
+        return found, found != told
+
+    def _turned(self, rows: Array, informed: Array, advice: Advice) -> Array:
+        """They turn by what they say; whether they hear the tag then."""
         people, began = self._people, self._people.t[rows].copy()
-        informed = people.detoured(rows, advice.turn[rows])
         people.turn(rows, informed)
         return self._told(rows, "turn", informed, np.zeros(len(rows)), self._ear.heard(people, rows, began), began, advice)
 
-    def _stepped(self, rows: Array, advice: Advice, active: Array) -> Array:
-        """They step; whoever is near enough to the tag then has found it, and stops. Whether the tag answers."""
-        people, step = self._people, advice.step[rows]
+    def _stepped(self, rows: Array, step: Array, advice: Advice) -> Array:
+        """They step, shorter than they were told where something stands in the way, and say so. Whether the tag answers."""
+        people = self._people
         before, began = people.place[rows].copy(), people.t[rows].copy()
         people.step(rows, step)
-        active[rows[people.range(rows) < self._config.found_m]] = False
+        self._ground.keep_out(people, rows, before)
         heard = self._ear.walked(people, rows, before, began)
         return self._told(rows, "step", np.zeros(len(rows)), step, heard, began, advice, np.hypot(*(people.place[rows] - before).T))
 
@@ -178,17 +222,25 @@ class _Loop:
     def _result(self, keep: set[int]) -> dict[int, tuple[Trial, Track]]:
         simulator, root, found = self._simulator, self._scenario.seed, {}
         site = simulator.site(root, int(self._numbers[0]))
-        for number, (walked, track, reads) in zip(
-            self._numbers.tolist(), self._log.split(self._numbers, self._name, self._seconds), strict=True
-        ):
+        parts = self._log.split(self._numbers, self._name, self._seconds)
+        for row, (number, (walked, track, reads)) in enumerate(zip(self._numbers.tolist(), parts, strict=True)):
             streams = {"actions": actions_of(walked), **({"reads": reads} if len(reads) else {})}
             recording = Recording(number, float(walked.t[-1]), site, streams, simulator.aims.targets, simulator.aims.tags)
             truth = simulator.at_rest().truth
             if number in keep:
-                truth = truth_of(walked, simulator.moved(number, root, recording.duration).truth, self._actor.id)
+                truth = self._truth(row, walked, recording.duration)
             stimulus = {"start_distance_m": float(walked.range[0]), "starts_readable": float(walked.heard[0])}
             found[number] = Trial(recording, truth, simulator.aims.body, simulator.aims.pose, stimulus, walked), track
         return found
+
+    def _truth(self, row: int, walked: Walk, duration: float) -> Truth:
+        """The motion of everything in a row's trial while the person walked."""
+        if isinstance(self._ear, RadioEar):
+            truth = self._ear.truth(row)
+            last = int(np.searchsorted(truth.t, duration)) + 1
+            return truth.with_(t=truth.t[:last], poses=truth.poses[:last], segment=truth.segment[:last], zone=truth.zone[:last])
+        others = self._simulator.moved(int(self._numbers[row]), self._scenario.seed, duration).truth
+        return truth_of(walked, others, self._actor.id, self._config.pause_s)
 
 
 def in_ranks(rows: Array, reads: Sequence[Reads]) -> list[Event]:

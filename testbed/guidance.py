@@ -37,6 +37,7 @@ class Actions(Table):
 class Advice(Columns):
     """What B rows are told to do next: turn, then walk `step` if the tag still answers. A turn of NaN is none, a step of 0 none.
 
+    led says that whoever hears nothing should go that way all the same, for the guide relies on what was heard before.
     aim is where the method believes the tag to be, rad counter-clockwise from where the person looks, NaN where it has no idea.
     said is empty, or a sentence that tells why there is no direction, or what to do about it.
     """
@@ -45,6 +46,7 @@ class Advice(Columns):
     step: Array = column("float64", ("B",), "m")
     aim: Array = column("float64", ("B",), "rad", default=np.nan)
     said: Array = column("str", ("B",), default="")
+    led: Array = column("bool", ("B",), default=False)
 
 
 @runtime_checkable

@@ -127,10 +127,10 @@ def actions_of(walk: Walk) -> Actions:
     return Actions(walk.t, walk.t, walk.began, np.zeros(len(walk)), walk.informed, step, walk.heard, walk.change)
 
 
-def along(walk: Walk, t: Array) -> Array:
-    """Poses (K, 7) on the floor of the person at times t (K,) s: turning, stepping and pausing at one speed each."""
+def along(walk: Walk, t: Array, pause: float = 0.0) -> Array:
+    """Poses (K, 7) on the floor of the person at times t (K,) s: turning or stepping evenly, with a pause (s) after each action."""
     heading = np.unwrap(walk.heading)
-    knots = np.stack([walk.began[1:], walk.t[1:]], axis=1).ravel()
+    knots = np.stack([walk.began[1:], np.maximum(walk.t[1:] - pause, walk.began[1:])], axis=1).ravel()
     knots = np.maximum.accumulate(np.concatenate([[walk.t[0]], knots]))
 
     def value(column: Array) -> Array:
@@ -140,8 +140,8 @@ def along(walk: Walk, t: Array) -> Array:
     return np.concatenate([place, frames.from_euler(value(heading))], axis=1)
 
 
-def truth_of(walk: Walk, others: Truth, id: str) -> Truth:
+def truth_of(walk: Walk, others: Truth, id: str, pause: float) -> Truth:
     """The motion of everything in a trial, with the guided person's own: `others` holds them standing still."""
     poses = np.array(others.poses)
-    poses[:, others.index(id)] = along(walk, others.t)
+    poses[:, others.index(id)] = along(walk, others.t, pause)
     return others.with_(poses=poses)

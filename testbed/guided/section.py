@@ -20,7 +20,9 @@ class GuidedWalk(Config):
     step_error       : N(0, step_std_m) along a direction that is uniform (Eq. 2), or on each axis
     found_m          : the tag is found when a step ends so near to it (on the floor)
     detour_*         : with this probability a turn is not the one that was told but off by up to detour_deg, and the guide is told so
-    room_m           : how much room to either side the person wants; what stands in the way is walked round, and the guide is told so
+    room_m           : how much room to either side the reader wants; what stands in the way is walked round, and the guide is told so
+    reads_hz         : how often an rfid reader in the hand asks its one tag (a handheld sensor has a rate of its own)
+    walks_on         : so often somebody who is told that the tag does not answer walks on a step and listens there
     A person gives up after most_steps steps or most_turns turns, and where the guide says that it has no direction.
     """
 
@@ -37,6 +39,8 @@ class GuidedWalk(Config):
     turn_rate_dps: Annotated[DegreesPerSecond, Field(gt=0, le=720)] = 90.0
     pause_s: Annotated[Seconds, Field(ge=0.05, le=60)] = 0.3
     room_m: Annotated[Metres, Field(ge=0, le=2)] = 0.3
+    walks_on: Annotated[int, Field(ge=0, le=1000)] = 0
+    reads_hz: Annotated[float, Field(gt=0, le=10_000)] = 300.0
 
 
 def guided_actor(scenario: Scenario) -> ActorSection | None:
