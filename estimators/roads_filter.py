@@ -20,6 +20,8 @@ from testbed.roads import RoadGraph
 from testbed.types import Array, Estimate, Event, Prior, RowRandom, Site, Status, UpdateInfo
 
 COMPONENTS = ("x", "y")
+AGREE_S = 4.0  # s: over how long compass and belief are compared
+DOUBTED = 0.5  # of the mean cosine that κ promises: below it, a belief is doubted
 
 
 class RoadFilterConfig(FixesConfig):
@@ -196,10 +198,6 @@ class RoadFilter(ABC):
             i = off[0]
             x, y = place[i]
             raise ValueError(f"row {i}: the prior's place ({x:g}, {y:g}) is off the network, {distance[i]:.1f} m from the nearest road")
-
-
-AGREE_S = 4.0  # s: over how long compass and belief are compared
-DOUBTED = 0.5  # of the mean cosine that κ promises: below it, a belief is doubted
 
 
 def _refuse_degrees(row: Array, t: Array, heading: Array) -> None:

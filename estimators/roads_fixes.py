@@ -11,6 +11,8 @@ from testbed import frames
 from testbed.quantity import Config, Metres, Seconds
 from testbed.types import Array, Event, Site
 
+AHEAD = 1.0  # m: so far in front of a standing antenna tags are read on average
+
 
 class FixesConfig(Config):
     """What a read says of the vehicle's place.
@@ -63,6 +65,3 @@ class Fixes:
         used = speaks & np.isfinite(place).all(axis=1) & (reads.t - newest[event.row, source] >= self._config.fix_every_s)
         newest[event.row[used], source[used]] = reads.t[used]
         return used, place, ahead
-
-
-AHEAD = 1.0  # m
