@@ -10,7 +10,7 @@ import report_fakes as fakes
 
 from testbed.report import cases, palette, study
 from testbed.report.figures import Styles, dots, drawing, frame_of, is_wide, log_axis, new, settle, shorten, styled
-from testbed.report.figures_plan import _numbers, floor_plan
+from testbed.report.figures_plan import floor_plan, numbers
 from testbed.report.figures_run import error_distribution, spelled, sweep
 from testbed.report.figures_time import _spans, _thinned, consistency, error_over_time, signal_strength
 from testbed.report.labels import Label, around, place
@@ -241,8 +241,8 @@ def test_dots_are_strokes_of_no_length_that_survive():
 
 
 def test_antennas_are_numbered_in_runs():
-    assert _numbers([0, 1, 2, 6]) == "1–3, 7"
-    assert _numbers([4]) == "5"
+    assert numbers([0, 1, 2, 6]) == "1–3, 7"
+    assert numbers([4]) == "5"
 
 
 @pytest.mark.parametrize(
