@@ -60,10 +60,10 @@ prior:
 
 # The methods to compare, all on the same data. An id is the kind, where it is left out.
 estimators:
-  - {{kind: ukf}}
-  - {{kind: ekf}}
+  - {{kind: ukf, sigma_db: 8}} # how far RSSI strays from free space, there and back
+  - {{kind: ekf, sigma_db: 8}}
   - {{kind: centroid}}          # the baseline that anything must beat
-  # - {{id: ukf-doubtful, kind: ukf, sigma_db: 8}}    # the same method twice, with other settings
+  # - {{id: ukf-doubtful, kind: ukf, sigma_db: 12}}    # the same method twice, with other settings
 
 # Figures of merit. Left out: all that are installed.
 # metrics:
