@@ -196,6 +196,18 @@ def paired(rows: Rows, point: int, left: str, right: str, column: str) -> Interv
 
     Rows that only one of the two has, or that are NaN in one, are left out. KeyError for an unknown column.
     """
+    trials, apart = _apart(rows, point, left, right, column)
+    return mean_interval(per_trial(trials, apart)[1])
+
+
+def share_above(rows: Rows, point: int, left: str, right: str, column: str) -> Interval:
+    """Share of trials (and in each of its targets) in which `left` is above `right`; equal figures count half. Otherwise as `paired`."""
+    trials, apart = _apart(rows, point, left, right, column)
+    return mean_interval(per_trial(trials, np.where(np.isnan(apart), np.nan, (np.sign(apart) + 1) / 2))[1])
+
+
+def _apart(rows: Rows, point: int, left: str, right: str, column: str) -> tuple[Array, Array]:
+    """Trials and differences of all (trial, target) that both have."""
     sides = []
     for estimator in (left, right):
         mask = (rows["point"] == point) & (rows["estimator"] == estimator)
@@ -203,8 +215,7 @@ def paired(rows: Rows, point: int, left: str, right: str, column: str) -> Interv
         sides.append(dict(zip(keys, rows[column][mask].tolist(), strict=True)))
     both = [key for key in sides[0] if key in sides[1]]
     apart = np.array([sides[0][key] - sides[1][key] for key in both], dtype=np.float64)
-    trials = np.array([key[0] for key in both], dtype=np.int64)
-    return mean_interval(per_trial(trials, apart)[1])
+    return np.array([key[0] for key in both], dtype=np.int64), apart
 
 
 # ---------------------------------------------------------------- claims
@@ -238,7 +249,8 @@ def check_claims(claims: Iterable[Any], rows: Rows, world: Rows, points: Sequenc
 
     world : columns "point", "trial" and one a stimulus. A plain claim compares the mean over trials itself. A paired one ("a - b")
     with the bound "min" holds where the lower 95 % limit of the mean difference reaches it, with "max" where the upper
-    limit stays within. A claim about something that has no value fails, and its note says why.
+    limit stays within. A share ("a > b") is of the trials in which a's figure is above b's, and is compared itself. A claim about
+    something that has no value fails, and its note says why.
     """
     return [_check(claim, rows, world, point) for claim in claims for point in points if claim.concerns(point)]
 
@@ -267,10 +279,11 @@ def figure_of(claim: Any, rows: Rows, world: Rows, point: int) -> tuple[Interval
     known = [name for name in table if name not in KEYS]
     if column not in known:
         return nothing, f"no value: there is no {column!r}; there are {', '.join(known) or 'none'}"
-    if claim.subject != "world" and " - " in claim.subject:
-        left, right = claim.subject.split(" - ")
-        interval = paired(rows, point, left.strip(), right.strip(), column)
-        return interval, "" if interval.n else "no value: no trial has both"
+    for relation, compared in ((" - ", paired), (" > ", share_above)):
+        if relation in claim.subject:
+            left, right = claim.subject.split(relation)
+            interval = compared(rows, point, left.strip(), right.strip(), column)
+            return interval, "" if interval.n else "no value: no trial has both"
     mask = table["point"] == point
     if claim.subject != "world":
         mask = mask & (table["estimator"] == claim.subject)

@@ -49,7 +49,7 @@ class Verdict(ClaimResult):
 
     @property
     def _is_paired(self) -> bool:
-        return len(self.claim.estimators) == 2
+        return self.claim.is_difference
 
     @property
     def _compared(self) -> float:

@@ -59,7 +59,7 @@ def _beside(figure: Figure, scale: float, rows: Rows, world: Rows) -> Beside:
     ours = Interval(found.mean * scale, found.se * scale, found.low * scale, found.high * scale, found.n)
     inside = None
     if figure.accept is not None:
-        low, high = (ours.low, ours.high) if len(claim.estimators) == 2 else (ours.mean, ours.mean)
+        low, high = (ours.low, ours.high) if claim.is_difference else (ours.mean, ours.mean)
         inside = bool(figure.accept[0] <= low and high <= figure.accept[1])
     return Beside(figure, ours, inside, figure.note or missing)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
@@ -38,7 +39,7 @@ class Route(Config):
     @model_validator(mode="after")
     def _points_apart(self) -> Route:
         for i, (a, b) in enumerate(zip(self.waypoints_m[:-1], self.waypoints_m[1:], strict=True)):
-            if (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 < 1e-12:
+            if math.dist(a, b) < 1e-6:
                 raise ValueError(f"way points {i} and {i + 1} are the same place {a}: leave one out")
         return self
 

@@ -13,6 +13,7 @@ from testbed.scenario.source import Review
 from testbed.scenario.wording import shown
 
 WORLD = "world"
+DIFFERENCE, SHARE = " - ", " > "  # between two estimators' ids
 _SIGNS = {"min": ">=", "max": "<="}
 
 
@@ -20,7 +21,8 @@ _SIGNS = {"min": ">=", "max": "<="}
 class Claim:
     """One bound on one figure.
 
-    subject is an estimator's id, a paired difference "ekf - ukf", or "world" (the stimulus). statistic is "" for a figure
+    subject is an estimator's id, a paired difference "ekf - ukf", the share of trials in which one's figure is above the other's
+    "ekf > ukf", or "world" (the stimulus). statistic is "" for a figure
     that is one number. line is None where the claim is not in the file; point is the one point of the sweep that it speaks of, None
     for all of them.
     """
@@ -40,8 +42,13 @@ class Claim:
 
     @property
     def estimators(self) -> tuple[str, ...]:
-        """Ids of the estimators it compares: none, one, or the two of a difference."""
-        return () if self.subject == WORLD else tuple(self.subject.split(" - "))
+        """Ids of the estimators it compares: none, one, or the two of a difference or of a share."""
+        return () if self.subject == WORLD else tuple(named(self.subject))
+
+    @property
+    def is_difference(self) -> bool:
+        """Whether it is about the mean difference of two estimators, which its confidence limit has to keep."""
+        return DIFFERENCE in self.subject
 
     @property
     def text(self) -> str:
@@ -85,13 +92,18 @@ def subject_of(subject: str, estimators: Sequence[str], loc: Loc, review: Review
     """The subject, its spaces made plain; mistakes are put down."""
     if subject == WORLD:
         return subject
-    parts = [part.strip() for part in subject.split(" - ")]
+    parts, relation = named(subject), SHARE if SHARE in subject else DIFFERENCE
     for part in parts:
         if part not in estimators:
             review.note(loc, f"no estimator has the id {part!r}{suggest(part, list(dict.fromkeys([*estimators, WORLD])))}", at_key=True)
     if len(parts) > 2 or len(set(parts)) < len(parts):
-        review.note(loc, 'a difference is of two estimators, as in "ekf - ukf"', at_key=True)
-    return " - ".join(parts)
+        review.note(loc, 'two estimators are compared, as in "ekf - ukf" or "ekf > ukf"', at_key=True)
+    return relation.join(parts)
+
+
+def named(subject: str) -> list[str]:
+    """The estimators that a subject speaks of: one, or two with " - " or " > " between them."""
+    return [part.strip() for part in subject.split(SHARE if SHARE in subject else DIFFERENCE)]
 
 
 def _statistic(named: tuple[str, str, str], bounds: Any, loc: Loc, columns: Sequence[str] | None, review: Review) -> list[Claim]:

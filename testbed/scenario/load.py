@@ -13,6 +13,7 @@ from typing import Any
 from testbed.plugins import suggest
 from testbed.scenario import overrides
 from testbed.scenario.build import build
+from testbed.scenario.claims import WORLD, named
 from testbed.scenario.nodes import MAX_BYTES, checked, read, read_on
 from testbed.scenario.problems import ScenarioError, refuse
 from testbed.scenario.published import publications_without, written_without
@@ -68,7 +69,7 @@ def only(scenario: Scenario, estimators: Iterable[str]) -> Scenario:
     sections = zip(document.get("estimators", []), known, strict=True)
     document["estimators"] = [section for section, id in sections if id in wanted]
     if "expect" in document:
-        document["expect"] = {s: v for s, v in document["expect"].items() if " - ".join(p.strip() for p in s.split(" - ")) in kept}
+        document["expect"] = {s: v for s, v in document["expect"].items() if set(named(s)) <= {*wanted, WORLD}}
     return replace(
         scenario,
         estimators=tuple(section for section in scenario.estimators if section.id in wanted),

@@ -14,9 +14,10 @@
             - {estimator: ekf - ukf, at: {"sensors.portal.antennas.count": 2}, paper: 17.1}
 
 A cell is one figure at one point of the sweep; `metric` and `statistic` may stand at the cell as well. A difference of two
-estimators is taken trial by trial. `accept`, in the table's unit, makes an expectation of the cell: a run in which our figure lies
-outside fails, as under `expect`. Without it the two figures stand side by side and nothing is judged. A cell whose point the run does
-not have (a shorter sweep, by --set) is shown as not run.
+estimators ("ekf - ukf") is taken trial by trial; "ekf > ukf" is the share of trials in which the one's figure is above the other's.
+`accept`, in the table's unit, makes an expectation of the cell: a run in which our figure lies outside fails, as under `expect`.
+Without it the two figures stand side by side and nothing is judged. A cell whose point the run does not have (a shorter sweep, by
+--set) is shown as not run.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import Field, model_validator
 
 from testbed.quantity import Config
-from testbed.scenario.claims import WORLD, Claim, known, subject_of
+from testbed.scenario.claims import WORLD, Claim, known, named, subject_of
 from testbed.scenario.problems import Loc
 from testbed.scenario.source import Review
 
@@ -164,14 +165,10 @@ def written_without(raw: Any, estimators: Sequence[str]) -> list[Any]:
     """As `publications_without`, for the section as it is written in a document."""
     kept: list[Any] = []
     for one in one_is_a_list(raw) or ():
-        tables = [{**t, "cells": [c for c in t["cells"] if _named(c["estimator"]) <= {*estimators, WORLD}]} for t in one["tables"]]
+        tables = [{**t, "cells": [c for c in t["cells"] if set(named(c["estimator"])) <= {*estimators, WORLD}]} for t in one["tables"]]
         tables = [t for t in tables if t["cells"]]
         kept += [{**one, "tables": tables}] if tables else []
     return kept
-
-
-def _named(subject: str) -> set[str]:
-    return {part.strip() for part in subject.split(" - ")}
 
 
 def _figure(

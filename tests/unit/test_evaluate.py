@@ -295,3 +295,17 @@ def test_a_claim_about_one_point_is_judged_there_alone():
     table = rows(ekf=[[1.0], [3.0]])
     found = check_claims([Claim("ekf", "error.mean", "", "min", 0.0, point=0)], table, table, [0, 1])
     assert [c.point for c in found] == [0]
+
+
+def test_the_share_of_trials_in_which_one_is_above_the_other_counts_ties_half():
+    table = rows(ekf=[[1.0], [3.0], [2.0], [5.0]], ukf=[[2.0], [1.0], [2.0], [4.0]])
+    found = judged(Claim("ekf > ukf", "error", "mean", "min", 0.6), table)
+    assert found.value == pytest.approx((0 + 1 + 0.5 + 1) / 4)
+    assert found.ok
+    assert not judged(Claim("ekf > ukf", "error", "mean", "min", 0.63), table).ok  # itself, not its confidence limit
+    assert judged(Claim("ukf > ekf", "error", "mean", "min", 0.0), table).value == pytest.approx(0.375)
+
+
+def test_a_share_leaves_out_what_only_one_of_the_two_has():
+    table = rows(ekf=[[1.0], [3.0], [np.nan]], ukf=[[2.0], [1.0], [0.0]])
+    assert judged(Claim("ekf > ukf", "error", "mean", "min", 0.0), table).value == 0.5

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from testbed.scenario import Claim, ScenarioError, from_dict, from_text
+from testbed.scenario import Claim, ScenarioError, from_dict, from_text, only
 
 
 def told(document):
@@ -63,8 +63,8 @@ def test_an_id_with_a_hyphen_is_no_difference(fakes, document):
     [
         ({"fst": {"availability": {"min": 0}}}, "expect.fst: no estimator has the id 'fst', did you mean fast?"),
         ({"ekf - fst": {"availability": {"min": 0}}}, "expect.ekf - fst: no estimator has the id 'fst', did you mean fast?"),
-        ({"ekf - ekf": {"availability": {"min": 0}}}, "expect.ekf - ekf: a difference is of two estimators"),
-        ({"ekf - fast - ekf": {"availability": {"min": 0}}}, "a difference is of two estimators"),
+        ({"ekf - ekf": {"availability": {"min": 0}}}, "expect.ekf - ekf: two estimators are compared"),
+        ({"ekf - fast - ekf": {"availability": {"min": 0}}}, "two estimators are compared"),
         ({"ekf": {"availabilty": {"min": 0}}}, "expect.ekf.availabilty: no metric computes 'availabilty', did you mean availability?"),
         ({"ekf": {"position_error_m": {"p96": {"max": 1}}}}, "p96: position_error_m has no statistic 'p96', did you mean p95?"),
         ({"ekf": {"position_error_m": {"max": 1}}}, "position_error_m: position_error_m has several statistics: name one of mean, p95"),
@@ -102,3 +102,16 @@ def test_only_metrics_that_the_scenario_names_can_be_claimed(fakes, document):
     document["metrics"] = [{"kind": "availability"}]
     document["expect"] = {"ekf": {"position_error_m": {"mean": {"max": 1}}}}
     assert "no metric computes 'position_error_m'; there are availability" in told(document)
+
+
+def test_a_share_of_trials_is_a_subject_of_its_own(fakes, document):
+    document["expect"] = {"ekf  >  fast": {"availability": {"min": 0.8}}}
+    (claim,) = from_dict(document).expect
+    assert (claim.subject, claim.estimators, claim.is_difference) == ("ekf > fast", ("ekf", "fast"), False)
+    assert claim.text == "(ekf > fast).availability >= 0.8"
+    assert only(from_dict(document), ["ekf"]).expect == ()
+
+
+def test_three_estimators_are_not_compared_at_once(fakes, document):
+    document["expect"] = {"ekf > fast > ekf": {"availability": {"min": 0.8}}}
+    assert 'two estimators are compared, as in "ekf - ukf" or "ekf > ukf"' in told(document)
