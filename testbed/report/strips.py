@@ -54,7 +54,7 @@ def strips(case: Case) -> tuple[list[Strip], int]:
     counts = recording.streams.get("counts")
     if not len(reads) and isinstance(counts, Counts):
         heard = np.bincount(counts.tag, weights=counts.n, minlength=len(heard)).astype(np.int64)
-    wanted = np.unique([tag for aim in case.aims for tag in aim.tags]).astype(np.int64)
+    wanted = np.unique([int(tag) for tags in recording.target_tags for tag in tags]).astype(np.int64)
     wanted = wanted[heard[wanted] > 0]
     chosen = np.sort(wanted[np.argsort(-heard[wanted], kind="stable")][:MOST_TAGS])
     found = [_strip(case, int(tag), reads.take(reads.tag == tag)) for tag in chosen]
@@ -211,7 +211,7 @@ class Turning:
 def turning(case: Case, rate: float = 200.0) -> Turning | None:
     """The link with most reads with a phase, on the carrier with most of them. None without a phase, or without the scenario."""
     reads = case.reads
-    tags = [tag for aim in case.aims for tag in aim.tags]
+    tags = [int(tag) for tags in case.trial.recording.target_tags for tag in tags]
     reads = reads.take(np.isfinite(reads.phase) & np.isin(reads.tag, tags))
     frequencies = case.trial.recording.site.frequencies
     if not len(reads) or not len(frequencies):

@@ -223,3 +223,17 @@ def test_more_reads_than_there_are_colours_share_the_last_one():
     assert panel.place.tolist() == [[0, 1, 1, 4, 6, -1]]
     assert panel.ticks[-1][1] == "> 5"
     assert len(panel.colours) == 7
+
+
+def test_counts_without_reads_are_shown_all_the_same(case):
+    """What `detection: logistic_beta` leaves: rounds and counts, and nothing that has a phase or a level."""
+    streams = case.trial.recording.streams
+    bare = with_recording(case, streams={kind: streams[kind] for kind in ("rounds", "counts")})
+    drawn = radio_strips(bare, "radio", "Trial 0")
+    assert len(drawn) == 2
+    text = " ".join(re.findall(r">([^<>]+)</text>", drawn[0].svg))
+    assert "reads per round" in text
+    assert "line of sight" in text
+    assert "phase" not in text
+    full = strips.strips(case)[0][0]
+    assert np.array_equal(strips.strips(bare)[0][0].rounds, full.rounds, equal_nan=True)
