@@ -35,7 +35,9 @@ def score(track: Track, trial: Trial, metrics: Mapping[str, Metric]) -> dict[str
     """
     order = {str(name): i for i, name in enumerate(trial.recording.targets.name)}
     places = [order[str(name)] for name in track.target]
-    truth = trial.target_states(track.t)[:, places]
+    truth = np.ascontiguousarray(trial.target_states(track.t)[:, places])
+    # numpy's sums round by the order in which an array lies in memory: a track cut out of a block's must lie as one made alone does
+    track = track.with_(**{name: np.ascontiguousarray(getattr(track, name)) for name in ("mean", "covariance", "status", "particles")})
     columns: dict[str, Array] = {"target": np.asarray(track.target)}
     for id, metric in metrics.items():
         own_kind = type(metric).__module__.rpartition(".")[2]
