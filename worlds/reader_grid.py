@@ -55,7 +55,7 @@ class ReaderGrid(BaseHall):
         fill: Annotated[float, Field(ge=0, le=1)] = 1.0
         liquid: Annotated[float, Field(ge=0, le=1)] = 0.5
         layout_seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 1
-        walkers: Annotated[int, Field(ge=0, le=200)] = 0
+        walkers: Annotated[int, Field(ge=0, le=2000)] = 0
         walker_height_m: Annotated[Metres, Field(ge=0, le=6)] = 1.5
         speed_mps: Annotated[MetresPerSecond, Field(ge=0, le=20)] = 1.5
         acceleration_density_m2ps3: Annotated[float, Field(ge=0, le=10)] = 0.1
