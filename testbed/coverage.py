@@ -34,7 +34,7 @@ from testbed.radio.tags import tag_model
 from testbed.scene import WORLD, Boxes, Scene
 from testbed.sensors.rfid import Rfid
 from testbed.simulate import Simulator
-from testbed.solid import holder
+from testbed.solid import holder, mesh_holder
 from testbed.types import Antennas, Tags
 
 if TYPE_CHECKING:
@@ -163,7 +163,8 @@ def covered(
     around, antennas = simulator.at_rest(), Antennas.concatenate([sensor.antennas() for _, sensor in readers])
     x, y, z = _grid(np.asarray(simulator.scene.bounds), step_m, height_m, len(antennas))
     points = np.stack(np.broadcast_arrays(x, y[:, None], z[:, None, None]), axis=-1)
-    inside = holder(points.reshape(-1, 3), _solid(simulator.scene)).reshape(points.shape[:3]) >= 0
+    flat, scene = points.reshape(-1, 3), simulator.scene
+    inside = ((holder(flat, _solid(scene)) >= 0) | (mesh_holder(flat, scene.static_meshes()) >= 0)).reshape(points.shape[:3])
     around = _asked(around, points[~inside], tag)
     shown = progress or Silent()
     shown.start(f"{simulator.scenario.name}, coverage", int((~inside).sum()) * len(antennas), 0)

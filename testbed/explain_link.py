@@ -325,8 +325,8 @@ class _Seen:
         return [tuple(one) for one in found]
 
     def _obstacle(self, crossed: Crossings, i: int, behind: float, length: float) -> Obstacle:
-        boxes, (entry, per_metre), inside = self._scene.boxes, self._loss, float(crossed.length[i])
-        body, material = int(boxes.body[crossed.box[i]]), int(boxes.material[crossed.box[i]])
+        (entry, per_metre), inside, piece = self._loss, float(crossed.length[i]), int(crossed.box[i])
+        body, material = int(self._scene.piece_body[piece]), int(self._scene.piece_material[piece])
         at = float(crossed.enter[i] + behind)
         return Obstacle(
             body=_body(self._scene, body),

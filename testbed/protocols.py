@@ -70,7 +70,8 @@ class Obstruction(Columns):
 
 @dataclass(frozen=True, eq=False)
 class Crossings(Table):
-    """Every box on every segment: which segment, which box of the scene, where it is entered, how much lies inside."""
+    """Every obstacle on every segment: which segment, which piece of the scene (a box, or beyond their number a mesh), where it is
+    entered, how much lies inside: nothing of an open mesh."""
 
     segment: Array = column("int64")
     box: Array = column("int32")

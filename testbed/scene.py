@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 
 from testbed import frames
 from testbed.columns import Array, Columns, column
-from testbed.geometry import WORLD, Boxes, Mounts, Roads, Zones
+from testbed.geometry import WORLD, Boxes, Meshes, Mounts, Roads, Zones
 
-__all__ = ["WORLD", "Body", "Boxes", "Mounts", "Roads", "Scene", "Truth", "Zones"]
+__all__ = ["WORLD", "Body", "Boxes", "Meshes", "Mounts", "Roads", "Scene", "Truth", "Zones"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +31,10 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A hall: bodies, the boxes they are made of, materials by name, mounts, zones, roads, and the extent of the floor.
+    """A hall: bodies, the boxes and meshes they are made of, materials by name, mounts, zones, roads, and the extent of the floor.
 
     Moving bodies must have distinct names, as must all others; `moving` lists their indices, which is the order of bodies
-    in `Truth`.
+    in `Truth`. They are made of boxes alone. A piece is a box or a mesh: those of the boxes' numbers, then the meshes.
     """
 
     bodies: tuple[Body, ...]
@@ -44,6 +44,17 @@ class Scene:
     mounts: Mounts = field(default_factory=Mounts.empty)
     zones: Zones = field(default_factory=Zones.empty)
     roads: Roads | None = None
+    meshes: Meshes = field(default_factory=Meshes.empty)
+
+    @property
+    def piece_body(self) -> Array:
+        """(boxes + meshes,) the body of each piece."""
+        return np.concatenate([self.boxes.body, self.meshes.body])
+
+    @property
+    def piece_material(self) -> Array:
+        """(boxes + meshes,) the material of each piece."""
+        return np.concatenate([self.boxes.material, self.meshes.material])
 
     @property
     def moving(self) -> Array:
@@ -65,6 +76,13 @@ class Scene:
         boxes = self.boxes.take(~is_moving[self.boxes.body])
         pose = np.concatenate([self.rest_poses(), [frames.IDENTITY]])[boxes.body]
         return boxes.with_(center=frames.to_world(pose, boxes.center), quaternion=frames.multiply(pose[:, 3:], boxes.quaternion))
+
+    def static_meshes(self) -> Meshes:
+        """All meshes, in the world frame; `body` still indexes `bodies`."""
+        if not len(self.meshes):
+            return self.meshes
+        pose = np.concatenate([self.rest_poses(), [frames.IDENTITY]])[self.meshes.body][self.meshes.owner()]
+        return self.meshes.with_(vertices=frames.to_world(pose, self.meshes.vertices))
 
 
 @dataclass(frozen=True, eq=False)

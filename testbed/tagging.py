@@ -71,7 +71,10 @@ def place_tags(scenario: Scenario, scene: Scene) -> tuple[Tagged, tuple[str, ...
 def _not_in_metal(scenario: Scenario, scene: Scene, tags: list[_Tag], body: Array, position: Array) -> None:
     """ScenarioError for the first tag that metal shuts in: nothing ever reads it. One inside a carton or a person's pocket may be read."""
     metal = np.array([name in MATERIALS and MATERIALS[name].metal for name in scene.materials], dtype=bool)
-    solid = replace(scene, boxes=scene.boxes.take(metal[scene.boxes.material])) if len(scene.boxes) else scene
+    solid = scene
+    if len(scene.boxes) + len(scene.meshes):
+        boxes, meshes = scene.boxes, scene.meshes
+        solid = replace(scene, boxes=boxes.take(metal[boxes.material]), meshes=meshes.take(metal[meshes.material]))
     boxes = holders(solid, body, position)
     for k in np.flatnonzero(boxes >= 0):
         owner, material = inside_of(solid, int(boxes[k]))

@@ -1,4 +1,4 @@
-"""Every obstacle on a segment, and how much of it: boxes cut by the slab method.
+"""Every obstacle on a segment, and how much of it: boxes cut by the slab method, and meshes (`worlds.mesh_rays`).
 
 What counts. A box is closed. A segment crosses it when more than `SURFACE` (1e-9 m) of it lies inside, so touching a corner, an
 edge or, from outside, a face is no crossing. A segment that changes by less than `SURFACE` along one of the box's axes is
@@ -22,11 +22,12 @@ from testbed.columns import Array
 from testbed.protocols import Crossings, Obstruction
 from testbed.scene import Scene
 from worlds.boxtree import Forest, forest
+from worlds.mesh_rays import MeshRays
 from worlds.ray_kernels import SURFACE, Result, cast, place_balls, workspace
 
 
 class BoxCaster:
-    """Obstacles of a scene by its boxes (`testbed.protocols.Caster`).
+    """Obstacles of a scene by its boxes and meshes (`testbed.protocols.Caster`).
 
     entry_db, per_metre_db : (materials,) dB and dB/m, by the order of `scene.materials`
     """
@@ -40,11 +41,17 @@ class BoxCaster:
         own = [np.flatnonzero(scene.boxes.body == body) for body in scene.moving]
         self._moving = forest([scene.boxes.take(index) for index in own], own)
         self._movers = len(own)
+        of = scene.meshes.material.astype(np.int64)
+        self._meshes = MeshRays(scene.static_meshes(), entry_db[of], per_metre_db[of], len(scene.boxes)) if len(of) else None
 
     def static(self, start: Array, end: Array) -> Obstruction:
         """Obstruction of segments `start` (N, 3) to `end` (N, 3), m, by all that never moves."""
         start, end = checked_segments(start, end)
-        return self._count(self._static, start, end, *_still(len(start)))
+        found = self._count(self._static, start, end, *_still(len(start)))
+        if self._meshes is None:
+            return found
+        more = self._meshes.obstruction(start, end)
+        return Obstruction(count=found.count + more.count, loss=found.loss + more.loss)
 
     def moving(self, start: Array, end: Array, poses: Array, instant: Array) -> Obstruction:
         """Obstruction by the moving bodies alone: segment i meets them as `poses[instant[i]]`; poses (Q, moving bodies, 7)."""
@@ -52,7 +59,7 @@ class BoxCaster:
         return self._count(self._moving, start, end, *checked_poses(poses, instant, len(start), self._movers))
 
     def crossings(self, start: Array, end: Array, poses: Array, instant: Array) -> Crossings:
-        """Every obstacle on every segment, sorted by segment and by where it is entered, then by box."""
+        """Every obstacle on every segment, sorted by segment and by where it is entered, then by piece."""
         start, end = checked_segments(start, end)
         posed = checked_poses(poses, instant, len(start), self._movers)
         both = (self._static, _still(len(start))), (self._moving, posed)
@@ -63,7 +70,11 @@ class BoxCaster:
         for (trees, where), before in zip(both, (0, counts[0]), strict=True):
             self._cast(trees, start, end, *where, first + before, box, enter, length)
         order = np.lexsort((box, enter, segment))
-        return Crossings(segment=segment, box=box[order], enter=enter[order], length=length[order])
+        found = Crossings(segment=segment, box=box[order], enter=enter[order], length=length[order])
+        if self._meshes is None:
+            return found
+        found = Crossings.concatenate([found, self._meshes.crossings(start, end)])
+        return found.take(np.lexsort((found.box, found.enter, found.segment)))
 
     def _count(self, trees: Forest, start: Array, end: Array, poses: Array, instant: Array) -> Obstruction:
         nothing = np.zeros(0, dtype=np.int64)

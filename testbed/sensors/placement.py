@@ -42,9 +42,9 @@ def rolled(quaternion: Array, roll_deg: float) -> Array:
 
 
 def inside_of(scene: Scene, box: int) -> tuple[str, str]:
-    """(body, material) of a box of the scene, by name."""
-    body = int(scene.boxes.body[box])
-    return "a box" if body == WORLD else scene.bodies[body].name, scene.materials[int(scene.boxes.material[box])]
+    """(body, material) of a piece of the scene, a box or a mesh, by name."""
+    body = int(scene.piece_body[box])
+    return "a box" if body == WORLD else scene.bodies[body].name, scene.materials[int(scene.piece_material[box])]
 
 
 def place_antennas(config: RfidConfig, sensor: str, scene: Scene) -> tuple[Antennas, Ends]:
