@@ -14,7 +14,7 @@ from pydantic import Field
 from scipy.special import ive
 
 from estimators.roads_fixes import Fixes, FixesConfig
-from estimators.roads_map import RoadMap
+from estimators.roads_map import RoadMap, rounding_saves
 from testbed.quantity import Metres, Seconds
 from testbed.roads import RoadGraph
 from testbed.types import Array, Estimate, Event, Prior, RowRandom, Site, Status, UpdateInfo
@@ -33,6 +33,8 @@ class RoadFilterConfig(FixesConfig):
     near_m, settle_share, lose_share : a row tracks once this share of its belief lies within near_m of its place, and seeks again
     when less than lose_share does
     lane_std_m  : how far vehicles keep from the middle of their road, standard deviation on each axis
+    turn_radius_m : vehicles round their corners so wide, and drive less than the roads are long: the odometer is stretched by what the
+    map's corners save on average (`estimators.roads_map.rounding_saves`)
     silent_s    : without an odometer for so long a row is lost
     """
 
@@ -43,6 +45,7 @@ class RoadFilterConfig(FixesConfig):
     settle_share: Annotated[float, Field(gt=0, le=1)] = 0.8
     lose_share: Annotated[float, Field(gt=0, le=1)] = 0.5
     lane_std_m: Annotated[Metres, Field(gt=0, le=10)] = 0.3
+    turn_radius_m: Annotated[Metres, Field(ge=0, le=100)] = 0.0
     silent_s: Annotated[Seconds, Field(gt=0, le=1e6)] = 5.0
 
 
@@ -61,6 +64,7 @@ class RoadFilter(ABC):
         self.config, self.rng = config, rng
         self.graph = RoadGraph(site.roads)
         self.map = RoadMap.of(self.graph)
+        self._stretch = 1 / (1 - rounding_saves(self.graph, config.turn_radius_m))  # of road a metre driven
         self._fixes = Fixes(config, site)
         expected = ive(1, config.kappa) / ive(0, config.kappa) if config.kappa else 0.0
         self._doubted = DOUBTED * expected if self.watches_agreement else -np.inf
@@ -73,7 +77,7 @@ class RoadFilter(ABC):
 
     @abstractmethod
     def move(self, rows: Array, speed: Array, dt: Array) -> None:
-        """Bring some rows (R,) on by a measured speed (R,) m/s over dt (R,) s."""
+        """Bring some rows (R,) on by a measured speed (R,) m/s over dt (R,) s, stretched where corners are rounded."""
 
     @abstractmethod
     def weigh(self, rows: Array, heading: Array, kappa: Array, since: Array) -> tuple[Array, Array]:
@@ -131,7 +135,7 @@ class RoadFilter(ABC):
     def _step(self, row: Array, t: Array, speed: Array) -> UpdateInfo:
         used = np.isfinite(speed) & (t > self._time[row])
         rows, t = row[used], t[used]
-        self.move(rows, speed[used], t - self._time[rows])
+        self.move(rows, speed[used], self._stretch * (t - self._time[rows]))
         self._time[rows] = t
         told = np.full(len(row), np.nan)
         heard = np.isfinite(self._pending[rows]) & (self._pending_t[rows] <= t)

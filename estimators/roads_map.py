@@ -9,6 +9,9 @@ from numba import njit
 
 from testbed.roads import RoadGraph
 from testbed.types import Array
+from testbed.units import wrap
+
+TURNED_ROUND = np.deg2rad(170)  # beyond it a turn is no corner
 
 
 class RoadMap(NamedTuple):
@@ -33,6 +36,23 @@ class RoadMap(NamedTuple):
         ends = graph.roads.nodes[graph.roads.segments]
         parts = (graph.start, graph.unit, graph.length, graph.segment, graph.first, graph.onward, ends[:, 0], ends[:, 1] - ends[:, 0])
         return cls(*(np.ascontiguousarray(p) for p in parts))
+
+
+def rounding_saves(graph: RoadGraph, radius: float) -> float:
+    """The share of the roads' length that a vehicle saves by rounding its corners with `radius` m, from the map alone.
+
+    A fillet between legs that turn by δ is shorter than the corner by r (2 tan(δ/2) - δ): 0.43 r for a right angle. The mean over all
+    turns, each edge driven as often as any other (so it is with two-way roads and even turns), over the mean length of an edge. Where a
+    leg is too short for it the fillet takes half of the leg; whoever turns round saves nothing.
+    """
+    edge = np.repeat(np.arange(graph.edges), np.diff(graph.first))
+    ways = np.diff(graph.first)[edge]
+    turn = np.abs(wrap(graph.direction[graph.onward] - graph.direction[edge]))
+    half = np.tan(np.minimum(turn, TURNED_ROUND) / 2)
+    fits = np.minimum(graph.length[edge], graph.length[graph.onward]) / 2
+    fillet = np.minimum(radius, fits / np.maximum(half, 1e-12))
+    saved = np.where(turn < TURNED_ROUND, fillet * (2 * half - turn), 0.0)
+    return float((saved / ways).sum() / graph.length.sum())
 
 
 @njit(cache=True)

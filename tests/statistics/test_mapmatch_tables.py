@@ -1,4 +1,4 @@
-"""The published study of map matching at full size: bands, the order of the rows, wrong builds, and what goes beyond the paper.
+"""The published study of map matching at full size: bands, the order of the rows, when runs settle, and what goes beyond the paper.
 
 100 runs, one seed. The bands are those of independent implementations on the same network: three times wider than the standard error of
 100 runs, so another seed leaves them in less than 1 % of cases.
@@ -27,7 +27,7 @@ def runs():
     return trials(100)
 
 
-def figures(runs, kind, id="", limit_s=18.0, **config):
+def figures(runs, kind, id="", **config):
     """Error (m), share of right segments, and per run the settle time (s, inf where never)."""
     track = tracked(runs, kind, id=id, **config)
     error, right, settle = [], [], []
@@ -37,7 +37,7 @@ def figures(runs, kind, id="", limit_s=18.0, **config):
         apart = np.hypot(*(own.mean - truth[..., :2])[own.t > 0.05, 0].T)
         error.append(apart.mean())
         right.append(RoadSegment(RoadSegment.Config(skip_s=0.05)).compute(own, truth, trial)["segment.identified"][0])
-        found = SettleTime(SettleTime.Config(skip_s=0.05, limit_s=limit_s)).compute(own, truth, trial)
+        found = SettleTime(SettleTime.Config(skip_s=0.05)).compute(own, truth, trial)
         settle.append(np.inf if found["lost_runs"][0] else found["settle_s"][0])
     return np.mean(error), np.mean(right), np.array(settle)
 
@@ -64,6 +64,13 @@ def test_the_rows_stand_in_their_order(tables):
     assert right[10.0] < right[0.1] < right[1.0]
 
 
+def test_most_runs_settle_and_some_are_lost(tables):
+    settle = tables[1.0][2]
+    assert 18 < np.median(settle) < 40  # s: 21 to 29 elsewhere
+    assert np.quantile(settle, 0.9, method="higher") > 90  # never, if more than a tenth are lost
+    assert 0.02 <= np.isinf(settle).mean() <= 0.17  # 4 to 13 % elsewhere; of 100 runs, false alarm 1 %
+
+
 def test_the_grid_reaches_what_the_paper_s_filter_does_not(runs, tables):
     error, right, settle = figures(runs, "mapmatch_grid")
     assert error <= 1.5
@@ -81,13 +88,5 @@ def test_particles_with_a_bias_come_near_the_grid(runs):
 
 
 def test_few_particles_matched_to_the_sensors_are_worse_than_the_paper_s_mistuned_ones(runs, tables):
-    few = figures(
-        runs[:40], "mapmatch_particles_bias", particles_min=300, particles_max=300, reseed_share=0.0, bias_walk_mps=0.0, settle_share=0.99
-    )
-    assert few[0] > tables[1.0][0]
-
-
-@pytest.mark.parametrize(("wrong", "config"), [("noise of the odometer alone", {"spread_mps": 0.6, "kappa": 0.1})])
-def test_wrong_builds_leave_the_bands(runs, wrong, config):
-    error = figures(runs, "mapmatch_particles", id="paper", **config)[0]
-    assert error > 6.1, wrong
+    few = figures(runs[:40], "mapmatch_particles_bias", particles_min=300, particles_max=300, reseed_share=0.0, bias_walk_mps=0.0)
+    assert few[0] > 1.3 * tables[1.0][0]

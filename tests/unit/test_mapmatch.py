@@ -15,7 +15,7 @@ from estimators.mapmatch_particles import MapmatchParticles
 from estimators.mapmatch_particles_bias import MapmatchParticlesBias
 from estimators.roads_cloud import even_spacing
 from estimators.roads_grid import Cells, move_grid, shift
-from estimators.roads_map import RoadMap, drive, nearest, split, summarise_cloud, weigh_cloud
+from estimators.roads_map import RoadMap, drive, nearest, rounding_saves, split, summarise_cloud, weigh_cloud
 from testbed.geometry import Roads
 from testbed.roads import RoadGraph, project
 
@@ -127,6 +127,27 @@ def test_the_noise_of_a_step_is_uniform_with_the_width_that_is_asked_for():
     half = np.sqrt(3) * 2.0 * 0.1
     assert np.abs(moved).max() <= half + 1e-6
     assert abs(moved.std() / 0.2 - 1) < 5 * np.sqrt(0.2 / 20_000)  # five sigma of a uniform's deviation: false alarm 6e-7
+
+
+def test_rounded_corners_save_what_the_fillets_of_the_map_s_turns_do():
+    square = Roads(np.array([[0, 0], [8, 0], [8, 8], [0, 8]]), np.array([[0, 1], [1, 2], [2, 3], [3, 0]]))
+    assert rounding_saves(RoadGraph(square), 1.6) == pytest.approx((2 - np.pi / 2) * 1.6 / 8)  # 0.43 r at each right angle
+    assert rounding_saves(RoadGraph(square), 100.0) == pytest.approx((2 - np.pi / 2) * 4 / 8)  # no fillet takes more than half a leg
+    ahead = Roads(np.array([[0, 0], [8, 0], [16, 0]]), np.array([[0, 1], [1, 2]]))
+    assert rounding_saves(RoadGraph(ahead), 1.6) == 0  # straight on, and round at the ends
+    assert 0.05 < rounding_saves(GRAPH, 1.6) < 0.43 * 1.6 * 26 / 216  # as if every way on were a turn
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_vehicle_that_rounds_its_corners_covers_more_road_than_it_drives(method):
+    lap = Roads(np.array([[0, 0], [20, 0], [20, 20], [0, 20]]), np.array([[0, 1], [1, 2], [2, 3], [3, 0]]), np.ones(4, dtype=bool))
+    plain, told = (made(method, roads=lap, prior=nowhere(x=2.0, std=0.1, vx=2.0), start="prior", turn_radius_m=r) for r in (0.0, 2.0))
+    for one in (plain, told):
+        for k in range(1, 51):
+            step(one, k / 10, 2.0, 0.0)
+    covered = [one.estimate().mean[0, 0] - 2.0 for one in (plain, told)]
+    assert covered[0] == pytest.approx(10.0, abs=0.6)
+    assert covered[1] - covered[0] == pytest.approx(10.0 * 0.43 * 2 / 20, abs=0.25)
 
 
 # ---------------------------------------------------------------- weighing

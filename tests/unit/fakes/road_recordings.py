@@ -40,10 +40,14 @@ def trials(n, first=0, **changes):
 
 def tracked(made, kind, seed=7, id="", **config):
     """The track of an estimator on trials."""
-    method = load("estimators", kind)
+    return by_method(made, load("estimators", kind), seed, id or kind, **config)
+
+
+def by_method(made, method, seed=7, id="", **config):
+    """The same for a class, which need not be a plug-in."""
     recordings = [t.recording for t in made]
     prior = draw_prior(from_dict(PAPER).prior, made, seed)
-    return run(recordings, method, method.Config(**config), prior, row_seeds(seed, recordings, id or kind))
+    return run(recordings, method, method.Config(**config), prior, row_seeds(seed, recordings, id or method.__name__))
 
 
 def by_hand(nodes, segments, t, speed, heading, one_way=None):
