@@ -12,7 +12,7 @@ from typing import Annotated, Any, TextIO
 import typer
 from rich.console import Console
 
-from testbed import cli_coverage, console, plugins
+from testbed import cli_coverage, cli_speak, console, plugins
 from testbed.evaluate import plain
 from testbed.scenario import ScenarioError
 
@@ -280,6 +280,7 @@ def explain(
 
 
 app.command("coverage")(cli_coverage.coverage)
+app.command("calibrate")(cli_calibrate.calibrate)
 
 
 @app.command()
@@ -316,6 +317,9 @@ def render(
             _out().print(str(path), soft_wrap=True)
     except ImportError as error:
         raise typer.Exit(_complain(str(error))) from None
+
+
+app.command("speak")(cli_speak.speak)
 
 
 @app.command()

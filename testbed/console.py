@@ -29,6 +29,12 @@ HEADINGS = {
     "nees.inside_95": "in 95 %",
     "nis.mean": "NIS/dof",
     "time_lost_s.total": "lost s",
+    "steps": "steps",
+    "turns": "turns",
+    "distance_m": "way m",
+    "found": "found",
+    "cosine.mean": "cosine",
+    "slips": "slips",
 }
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from testbed import archive, tables
 from testbed.estimate import row_seeds, run
 from testbed.evaluate import Rows, Summary, score, summarise
+from testbed.guided.section import guided_actor
 from testbed.manifest import rebuilt
 from testbed.plugins import load
 from testbed.prior import draw_prior
@@ -47,6 +48,8 @@ def replay(folder: str | Path, estimators: Sequence[str] = (), out: str | Path |
     places = _recordings(folder)
     if not places:
         raise StoreError(f"{folder} holds no recordings: run with --keep first:N or all")
+    if guided_actor(scenario) is not None:
+        raise StoreError(f"{folder} is of a guided person: each guide makes its own data, so there is nothing to replay; use testbed rerun")
     points = scenario.points()
     tracks: dict[tuple[int, int, str], Track] = {}
     rows: list[Rows] = []

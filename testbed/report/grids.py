@@ -12,7 +12,7 @@ from testbed.report.figures_roads import CURVE_COLUMNS
 from testbed.report.figures_run import spelled
 from testbed.report.study import Study
 
-SHARES = ("availability", "nees.inside_95", "nis.inside_95", "line_of_sight")  # shown in %
+SHARES = ("availability", "nees.inside_95", "nis.inside_95", "line_of_sight", "found", "in_time", "slips", "trusted")  # shown in %
 RESULTS = {  # column of the results -> heading, unit
     "position_error_m.mean": ("mean error", "m"),
     "position_error_m.p50": ("median error", "m"),
@@ -23,6 +23,15 @@ RESULTS = {  # column of the results -> heading, unit
     "nees.inside_95": ("NEES within its 95 % limits", "% of the time"),
     "nis.mean": ("NIS per degree of freedom", ""),
     "time_lost_s.total": ("time lost", "s"),
+    "steps": ("steps", ""),
+    "turns": ("turns", ""),
+    "distance_m": ("way walked", "m"),
+    "found": ("found", "% of trials"),
+    "in_time": ("found in time", "% of trials"),
+    "cosine.mean": ("guidance cosine", "mean over a trial's steps"),
+    "seconds": ("until the end", "s"),
+    "slips": ("steps whose phase slipped", "%"),
+    "trusted": ("steps whose phase was trusted", "%"),
 }
 
 
@@ -77,10 +86,18 @@ def results(study: Study, point: int) -> Grid:
     here = study.of(point)
     shown = [c for c in RESULTS if any(c in s.statistics and math.isfinite(s.statistics[c].mean) for s in here)]
     rows = [(Cell(*_named(c)), *(mean_cell(s.statistics.get(c), is_share(c), _honest(s, c)) for s in here)) for c in shown]
+    if any("cosine.sum" in s.statistics for s in here):
+        rows.append((Cell("guidance cosine (pooled over all steps)"), *(Cell(_pooled(s, "cosine.sum", "cosine.steps")) for s in here)))
     rows.append((Cell("wall time per update", ("of this machine",)), *(_wall(study.wall.get((point, s.estimator))) for s in here)))
     rows.append((Cell("trials"), *(_trials(s, study.main) for s in here)))
     heads = (Head("", number=False), *(Head(s.estimator) for s in here))
     return Grid(f"Results{_at(study, point)}: mean over trials ± standard error, and under it the 95 % interval", heads, tuple(rows))
+
+
+def _pooled(summary: Summary, total: str, count: str) -> str:
+    """A mean over everything in all trials, from the means over trials of a sum and of how many it is over."""
+    many = summary.statistics[count].mean
+    return f"{summary.statistics[total].mean / many:.2f}" if many > 0 else NOTHING
 
 
 def _named(column: str) -> tuple[str, tuple[str, ...]]:

@@ -18,7 +18,7 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 
 from testbed.archive import StoreError
-from testbed.report import cases, grids, player, words
+from testbed.report import cases, figures_guide, grids, player, words
 from testbed.report.album import Picture, album
 from testbed.report.amounts import capital, counted, listed
 from testbed.report.cases import Case
@@ -57,6 +57,7 @@ class Shown:
     estimators: tuple[tuple[str, str], ...] = ()
     data: str = ""
     player_notes: str = ""
+    guide: str = ""
 
 
 @dataclass(frozen=True)
@@ -243,10 +244,10 @@ def _shown(case: Case, study: Study, styles: Styles, index: int) -> Shown:
     where = _heading(study, case.kept)
     plan = floor_plan(case, styles, f"plan-{index}", where)
     errors = error_over_time(case, styles, f"errors-{index}", where)
-    figures = [clouds(case, styles, f"clouds-{index}", where)]
+    figures = [*figures_guide.figures(case, styles, f"guide-{index}", where), clouds(case, styles, f"clouds-{index}", where)]
     figures += [signal_strength(case, f"rssi-{index}", where), consistency(case, styles, f"nees-{index}", where)]
     if not index:  # they are large: one recording's are enough to look at
-        figures[2:2] = [*radio_strips(case, f"radio-{index}", where), phase_by_range(case, f"phase-{index}", where)]
+        figures[-1:-1] = [*radio_strips(case, f"radio-{index}", where), phase_by_range(case, f"phase-{index}", where)]
     pictures = album(case, styles, moving=index == 0)
     shown = Shown(where, plan, errors, tuple(f for f in figures if f), pictures.pictures, pictures.note)
     if index:
@@ -258,6 +259,7 @@ def _shown(case: Case, study: Study, styles: Styles, index: int) -> Shown:
         targets=tuple(aim.name for aim in case.aims),
         estimators=tuple((one["id"], one["colour"]) for one in content["estimators"]),
         data=player.text(content),
+        guide=figures_guide.guide_of(case) if case.trial.walk is not None else "",
         player_notes=_player_notes(content),
     )
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from testbed import frames
 from testbed.columns import Array
+from testbed.guided.words import instructions
 from testbed.report import plan
 from testbed.report.cases import Aim, Case, Line, instants
 from testbed.report.figures import Drawing, Frame, Styles
@@ -66,6 +67,7 @@ def data(case: Case, styles: Styles, drawn: Drawing, errors: Drawing | None) -> 
             "thinned": thinned,
         },
         "wanted": sorted({tag for aim in case.aims for tag in aim.tags}),
+        "told": _told(case),
     }
 
 
@@ -187,6 +189,14 @@ def _bodies(case: Case, ranges: list[tuple[float, float]]) -> list[dict[str, Any
 def _ends(body: Array, pose: Array, ids: Array) -> list[list[Any]]:
     """[id, body (-1 for the world), x, y] of antennas or tags, in the frame of what carries them."""
     return [[str(id), int(b), round(float(p[0]), 3), round(float(p[1]), 3)] for id, b, p in zip(ids, body, pose, strict=True)]
+
+
+def _told(case: Case) -> dict[str, Any] | None:
+    """What a guided person was told, and from when on; None for other recordings."""
+    if case.trial.walk is None:
+        return None
+    every = [one for one in instructions(case.trial.walk) if one.text]
+    return {"t": [round(one.t, 3) for one in every], "text": [one.text for one in every]}
 
 
 def _fewer(case: Case) -> tuple[Reads, str]:

@@ -1,6 +1,7 @@
 """The closed loop: pairing by action, batched as one by one, detours, what is kept, and what a guided scenario must have."""
 
 import copy
+import functools
 import json
 import pickle
 
@@ -220,11 +221,16 @@ def test_an_actor_that_is_guided_says_how(actor, message):
 # ---------------------------------------------------------------- people and their reader
 
 
-def people(n=4000, **config):
-    made = GuidedWalk(start_distance_m=10, **config)
-    tag, trials = np.zeros((n, 2)), np.arange(n)
+@functools.cache
+def made_people(step_error):
+    made = GuidedWalk(start_distance_m=10, step_error=step_error)
+    tag, trials = np.zeros((4000, 2)), np.arange(4000)
     start = started(made, 3, trials, "user", tag, np.zeros(2), 0.0)
     return Walkers(made, 3, trials, "user", tag, start)
+
+
+def people(step_error="ring"):
+    return copy.deepcopy(made_people(step_error))  # their keys take a second to make
 
 
 def test_people_start_in_any_direction_at_their_distance():

@@ -136,11 +136,17 @@ OFFICE = {
 }
 
 
-def test_in_an_office_the_reader_in_the_hand_leads_to_the_box(tmp_path):
-    result = run_block(Block(pickle.dumps(from_dict(OFFICE)), 0, (0,), tmp_path, (0,)))
+@pytest.fixture(scope="module")
+def office(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("office")
+    return folder, run_block(Block(pickle.dumps(from_dict(OFFICE)), 0, (0,), folder, (0,)))
+
+
+def test_in_an_office_the_reader_in_the_hand_leads_to_the_box(office):
+    folder, result = office
     assert not result.failures, result.failures[0].traceback
     assert result.rows["found"][0] == 1
-    trial = archive.load_trial(archive.place(tmp_path, 0, 0))
+    trial = archive.load_trial(archive.place(folder, 0, 0))
     reads, walk = trial.recording.streams["reads"], trial.walk
     assert set(np.asarray(reads.tag).tolist()) == {0}, "Select lets the sought tag through alone"
     assert (np.asarray(reads.phase) < np.pi + 1e-9).all()
@@ -151,8 +157,8 @@ def test_in_an_office_the_reader_in_the_hand_leads_to_the_box(tmp_path):
     np.testing.assert_allclose(hand[:-1], np.stack([walk.x, walk.y], axis=1)[:-1], atol=0.01)
 
 
-def test_the_same_office_gives_the_same_walk():
-    one, two = (run_block(Block(pickle.dumps(from_dict(OFFICE)), 0, (0,))) for _ in range(2))
+def test_the_same_office_gives_the_same_walk(office):
+    one, two = office[1], run_block(Block(pickle.dumps(from_dict(OFFICE)), 0, (0,)))
     for name, column in one.rows.items():
         np.testing.assert_array_equal(column, two.rows[name])
 

@@ -31,7 +31,7 @@ def test_the_page_shows_curves_settle_times_clouds_and_roads(folder):
         assert f'id="{name}"' in text
     assert 'data-layer="roads"' in text
     assert "t = 0 s" in text
-    assert "error curve" not in text  # forty numbers a curve are drawn, not listed
+    assert "error curve, s00" not in text  # forty numbers a curve are drawn, not listed
 
 
 def test_the_curves_are_means_over_trials(folder):

@@ -252,7 +252,7 @@
   // ------------------------------------------------------------ controls
 
   const part = (name) => root.querySelector(`[data-part="${name}"]`);
-  const button = part("play"), slider = part("time"), clock = part("clock"), rate = part("speed"), readout = part("readout");
+  const button = part("play"), slider = part("time"), clock = part("clock"), rate = part("speed"), readout = part("readout"), told = part("told");
   const seconds = (t) => `${t.toFixed(2)} s`;
 
   function drawReadout(t) {
@@ -266,12 +266,18 @@
     );
   }
 
+  /** What a guided person was told last, as they read it. */
+  function instruction(t) {
+    return data.told ? data.told.text[before(data.told.t, t)] || "" : "";
+  }
+
   function draw() {
     drawLinks(now);
     drawBodies(now);
     drawEstimates(now);
     drawCursors(now);
     drawReadout(now);
+    if (told) told.textContent = instruction(now);
     slider.value = now;
     slider.setAttribute("aria-valuetext", seconds(now));
     clock.textContent = `${seconds(now)} of ${seconds(data.duration)}`;
@@ -388,6 +394,7 @@
     estimators: estimators.map((e) => e.id),
     targets: targets.map((t) => t.name),
     links: () => lit.slice(),
+    told: () => instruction(now),
     /** Where an estimator's mark (or that of "truth") is now: x and y in metres, null where it says nothing. */
     position(id, target = 0) {
       if (id === "truth") {
