@@ -72,7 +72,7 @@ def test_a_grid_four_times_finer_says_the_same_once_both_track(runs):
 
 @pytest.mark.study
 def test_over_whole_runs_a_grid_four_times_finer_is_hardly_better():
-    made = trials(20)
+    made = trials(8)
     tracks = [tracked(made, "mapmatch_grid", cell_m=cell, biases=biases) for cell, biases in ((0.5, 7), (0.125, 7), (0.125, 28))]
     truth = np.concatenate([r.target_states(tracks[0].t)[..., :2] for r in made], axis=1)
     error = [np.hypot(*np.moveaxis(one.mean - truth, -1, 0)).mean(axis=0) for one in tracks]
