@@ -12,7 +12,7 @@ from typing import Annotated, Any, TextIO
 import typer
 from rich.console import Console
 
-from testbed import cli_coverage, cli_speak, console, plugins
+from testbed import cli_calibrate, cli_coverage, cli_speak, console, plugins
 from testbed.evaluate import plain
 from testbed.scenario import ScenarioError
 
