@@ -107,8 +107,8 @@ def figures(console: Console, title: str, columns: Mapping[str, Sequence[object]
 
 
 def world(console: Console, stimulus: Mapping[str, Interval], swept: Mapping[str, object]) -> None:
-    """What the world offered, over all sensors, in one line."""
-    said = [f"{name} {amount(interval)}" for name, interval in stimulus.items() if "." not in name]
+    """What the world offered, over all sensors, in one line; figures that had nothing to speak of are left out."""
+    said = [f"{name} {amount(interval)}" for name, interval in stimulus.items() if "." not in name and interval.n]
     where = f" at {', '.join(f'{path} = {value}' for path, value in swept.items())}" if swept else ""
     if said:
         console.print(f"world{where}: {'; '.join(said)}", soft_wrap=True)

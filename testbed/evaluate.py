@@ -86,6 +86,8 @@ def mean_interval(values: Array) -> Interval:
     n = len(found)
     if n < 2:
         return Interval(float(found[0]) if n else np.nan, np.nan, np.nan, np.nan, n)
+    if np.all(found == found[0]):  # no spread at all, which rounding in the mean would hide
+        return Interval(float(found[0]), 0.0, float(found[0]), float(found[0]), n)
     mean, se = float(found.mean()), float(found.std(ddof=1) / np.sqrt(n))
     reach = float(student_quantile(0.5 + CONFIDENCE / 2, n - 1)) * se
     return Interval(mean, se, mean - reach, mean + reach, n)

@@ -148,8 +148,8 @@ def everything(study: Study, point: int) -> Grid:
 
 
 def world(study: Study, point: int) -> Grid | None:
-    """What the world offered, by sensor and over all of them; None where it says nothing."""
-    found = study.world[point]
+    """What the world offered, by sensor and over all of them, without figures that had nothing to speak of; None where it says nothing."""
+    found = {name: value for name, value in study.world[point].items() if value.n}
     if not found:
         return None
     sensors = {name.rpartition(".")[0] for name in found} - {""}

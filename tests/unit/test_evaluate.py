@@ -131,6 +131,12 @@ def test_the_interval_is_the_textbook_one(values):
         assert (found.low, found.high) == (pytest.approx(low, abs=1e-6), pytest.approx(high, abs=1e-6))
 
 
+@given(st.floats(-1e6, 1e6), st.integers(2, 30))
+def test_values_that_are_all_alike_have_no_spread_to_the_last_digit(value, n):
+    found = mean_interval(np.full(n, value))
+    assert (found.mean, found.se, found.low, found.high, found.n) == (value, 0.0, value, value, n)
+
+
 def test_one_trial_has_a_mean_and_no_spread_and_none_has_neither():
     one, none = mean_interval(np.array([2.0, np.nan])), mean_interval(np.array([np.nan]))
     assert (one.mean, one.n) == (2.0, 1)

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import report_fakes as fakes
 
-from testbed.report import album, page, study, words
+from testbed.report import album, grids, page, study, words
+from testbed.report.amounts import NOTHING
 from testbed.simulate import Simulator
 from testbed.store import StoreError
 
@@ -136,6 +137,14 @@ def test_the_numbers_are_the_runs_own(folder, written):
     assert str(found.manifest["scenario"]["hash"]) in text
     assert f"code {found.manifest['versions']['code']}" in text
     assert "95 % of an honest filter" in text
+
+
+def test_what_had_nothing_to_speak_of_has_no_row_among_what_the_world_offered(folder):
+    read = study.read(folder)
+    spoken = {name for name, value in read.world[0].items() if value.n}
+    assert spoken < set(read.world[0])
+    assert all(row[1].text != NOTHING for row in grids.world(read, 0).rows)
+    assert len(grids.world(read, 0).rows) == len({name for name in spoken if "." not in name})  # one sensor: each figure once
 
 
 def test_claims_stand_with_their_values_and_whether_they_hold(written):
