@@ -1,6 +1,7 @@
 """What the README shows works as it stands there."""
 
 import re
+import subprocess
 import sys
 import types
 from pathlib import Path
@@ -52,6 +53,13 @@ def test_the_world_conforms():
     pytest.importorskip("pybullet", reason="the world's check looks at its bodies in pybullet")
     code = next(b for b in blocks("python") if "BaseHall" in b)
     testbed.check_world(module_of(code, "corridor_of_the_readme").Corridor)
+
+
+@pytest.mark.study  # a trial of a hall with the whole channel
+def test_what_explain_is_said_to_print_it_prints():
+    command, *lines = re.search(r"```\n\$ testbed (explain .*?)```", TEXT, re.DOTALL)[1].splitlines()
+    said = subprocess.run([sys.executable, "-m", "testbed", *command.split()], capture_output=True, text=True, check=True).stdout
+    assert [line for line in lines if line not in said.splitlines()] == []
 
 
 def test_places_and_files_that_it_names_are_there():
