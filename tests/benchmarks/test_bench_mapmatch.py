@@ -1,4 +1,7 @@
-"""Map matching: many runs in one call against one call a run, and the grid's kernels against the same sums by numpy."""
+"""Map matching: many runs in one call against one call a run, the grid's kernels against the same sums by numpy, and a whole study.
+
+The study's limits are its requirement: seconds of this process, which other programs don't lengthen, and three times what is needed.
+"""
 
 from time import process_time
 
@@ -77,3 +80,25 @@ def test_the_grid_s_step_is_faster_than_by_numpy(benchmark):
     benchmark.extra_info["times as fast"] = peer / own
     benchmark(kernels)
     assert peer / own > 2.0
+
+
+def test_the_study_takes_less_than_a_minute_on_two_cores(benchmark, runs):
+    share = 0.12  # of 100 runs at each of five κ_P
+
+    def study():
+        made_here = trials(round(100 * share))
+        for kappa in (10.0, 5.0, 1.0, 0.5, 0.1):
+            tracked(made_here, "mapmatch_particles", kappa=kappa)
+
+    spent = seconds(study, rounds=1)
+    benchmark.extra_info["seconds on two cores"] = spent / share / 2
+    benchmark.pedantic(lambda: None, rounds=1)
+    assert spent / share / 2 < 60
+
+
+def test_the_grid_takes_less_than_0_3_s_for_a_run_of_200_s(benchmark, runs):
+    block = trials(10)  # as a study has them: a run alone is mostly the driver's time for each event
+    spent = seconds(lambda: tracked(block, "mapmatch_grid"), rounds=2) / len(block)
+    benchmark.extra_info["seconds a run"] = spent
+    benchmark.pedantic(lambda: None, rounds=1)
+    assert spent < 0.3
