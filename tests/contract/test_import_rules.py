@@ -13,7 +13,8 @@ PACKAGES = ("testbed", "worlds", "estimators", "scenarios")
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 
 SEEN_BY_ESTIMATORS = {  # geometry: the boxes and roads that a Site is made of, plain data as surveyed; scenes and truth lie elsewhere
-    f"testbed.{m}" for m in ("types", "columns", "protocols", "quantity", "rng", "frames", "units", "lift", "roads", "guidance", "geometry")
+    f"testbed.{m}"
+    for m in ("types", "columns", "protocols", "quantity", "rng", "frames", "units", "lift", "roads", "guidance", "geometry", "gates")
 }
 LIBRARIES = {"numpy", "scipy", "filterpy", "numba", "pydantic"}
 LEAVES = {  # what each of the lowest modules may stand on, numpy and the standard library aside
@@ -22,6 +23,7 @@ LEAVES = {  # what each of the lowest modules may stand on, numpy and the standa
     "testbed/frames.py": {"testbed.columns"},
     "testbed/geometry.py": {"testbed.columns"},
     "testbed/guidance.py": {"testbed.columns"},
+    "testbed/gates.py": {"testbed.columns", "testbed.types"},  # which antennas hang together, as a site has them: no truth in it
     "testbed/roads.py": {"testbed.columns", "testbed.geometry"},
     "testbed/rng.py": {"testbed.columns", "scipy.special"},
     "testbed/types.py": {"testbed.columns", "testbed.geometry", "testbed.rng"},
