@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from testbed import frames
 from testbed.columns import Array
-from testbed.geometry import Boxes
+from testbed.geometry import Boxes, Meshes
 from testbed.scene import Scene
 from worlds import urdf
 from worlds.bullet_records import Contacts, Handle, Hits, StaticPart
@@ -147,6 +147,11 @@ class Client:
             name = f"{scene.bodies[body].name if body >= 0 else 'world'}/{scene.materials[material]}"
             own = boxes.take((keys == (body, material)).all(axis=1))
             parts.append(StaticPart(self.load_boxes(own, name), int(body), int(material)))
+        meshes = scene.static_meshes()
+        for m in range(len(meshes)):
+            body, material = int(meshes.body[m]), int(meshes.material[m])
+            name = f"{scene.bodies[body].name}/{scene.materials[material]}"
+            parts.append(StaticPart(self.load_mesh(meshes.take(np.arange(len(meshes)) == m), name), body, material))
         return parts
 
     def load_boxes(self, boxes: Boxes, name: str, pose: ArrayLike = frames.IDENTITY) -> Handle:
@@ -160,6 +165,24 @@ class Client:
         uid = self._p.createMultiBody(0, shape, basePosition=pose[:3].tolist(), baseOrientation=_xyzw(pose[3:]), physicsClientId=self._id)
         handle = self._handle(uid, name)
         self._self_test(handle)
+        return handle
+
+    def load_mesh(self, meshes: Meshes, name: str) -> Handle:
+        """One fixed body of the triangles of `meshes`, in the world frame: concave, as only what never moves may be, without an inside."""
+        shape = self._p.createCollisionShape(
+            self._p.GEOM_MESH,
+            vertices=meshes.vertices.tolist(),
+            indices=meshes.triangles.ravel().tolist(),
+            flags=self._p.GEOM_FORCE_CONCAVE_TRIMESH,  # without it the engine takes the hull
+            physicsClientId=self._id,
+        )
+        handle = self._handle(self._p.createMultiBody(0, shape, physicsClientId=self._id), name)
+        self.refresh()
+        corners = meshes.corners()
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        largest = int(np.linalg.norm(normal, axis=1).argmax())
+        middle, way = corners[largest].mean(axis=0), normal[largest] / np.linalg.norm(normal[largest])
+        self._assert_hit(handle, BASE, middle + 0.01 * way, middle - 0.01 * way)
         return handle
 
     def load_floor(self, height: float = 0.0, friction: float = 0.8) -> Handle:

@@ -15,7 +15,7 @@ import numpy as np
 
 from testbed import frames
 from testbed.columns import Array
-from testbed.geometry import Boxes
+from testbed.geometry import Boxes, Meshes
 from testbed.scene import Scene
 from testbed.view import MAX_SIDE, NOTHING, Camera, Image
 from worlds.bullet import Handle
@@ -105,10 +105,16 @@ class SceneRenderer:
         self._still.clear()
         boxes = self._scene.static_boxes()
         boxes = Boxes.concatenate([boxes.take(~np.isin(boxes.body, list(cut))), stubs(boxes.take(np.isin(boxes.body, list(cut))))])
-        for body in np.unique(boxes.body):
+        meshes = self._scene.static_meshes()
+        meshes = Meshes.concatenate(
+            [meshes.take(~np.isin(meshes.body, list(cut))), mesh_stubs(meshes.take(np.isin(meshes.body, list(cut))))]
+        )
+        for body in np.union1d(boxes.body, meshes.body):
             self._still.add(int(body), boxes.take(boxes.body == body), in_world=True)
+            self._still.add_meshes(int(body), meshes.take(meshes.body == body))
         lit = [i for i, b in enumerate(self._scene.bodies) if b.kind in SHADOWLESS]
-        self._shadow = self._ground.shadow(boxes.take(~np.isin(boxes.body, lit)))
+        dark = meshes.take(~np.isin(meshes.body, lit)).corners()
+        self._shadow = self._ground.shadow(boxes.take(~np.isin(boxes.body, lit)), dark)
         self._cut = cut
         self._kept.clear()
 
@@ -196,6 +202,14 @@ class _Bodies:
             shown = self._client.show(boxes.take(boxes.material == material), of.name if of else "world", paint, pose)
             self._handles.setdefault(body, []).extend(shown)
 
+    def add_meshes(self, body: int, meshes: Meshes) -> None:
+        """Meshes of a body that never moves, in the world frame."""
+        of = self._scene.bodies[body] if body >= 0 else None
+        for material in np.unique(meshes.material):
+            paint = colour(of.kind if of else "", self._scene.materials[material])
+            shown = self._client.show_mesh(meshes.take(meshes.material == material), of.name if of else "world", paint)
+            self._handles.setdefault(body, []).extend(shown)
+
     def place(self, body: int, pose: Array) -> None:
         for handle in self._handles.get(body, ()):
             self._client.place(handle, pose)
@@ -236,6 +250,23 @@ def stubs(boxes: Boxes) -> Boxes:
     center, half = np.array(boxes.center), np.array(boxes.half)
     center[:, 2], half[:, 2] = np.where(upright, (low + short) / 2, center[:, 2]), np.where(upright, (short - low) / 2, half[:, 2])
     return boxes.with_(center=center, half=np.maximum(half, 0.0)).take(stays)
+
+
+def mesh_stubs(meshes: Meshes) -> Meshes:
+    """What is left of meshes in the world frame when all above STUB m is cut off: open on top, which nobody but a camera minds."""
+    corners, low = meshes.corners(), meshes.vertices[meshes.triangles][..., 2].min(axis=1, initial=np.inf)
+    kept, owner = [], []
+    for triangle, m in zip(corners[low < STUB], meshes.mesh[low < STUB], strict=True):
+        outline = []
+        for a, b in zip(triangle, np.roll(triangle, -1, axis=0), strict=True):
+            if a[2] <= STUB:
+                outline.append(a)
+            if (a[2] - STUB) * (b[2] - STUB) < 0:
+                outline.append(a + (b - a) * (STUB - a[2]) / (b[2] - a[2]))
+        kept += [(outline[0], outline[i], outline[i + 1]) for i in range(1, len(outline) - 1)]
+        owner += [m] * (len(outline) - 2)
+    points = np.array(kept).reshape(-1, 3)
+    return meshes.with_(vertices=points, triangles=np.arange(len(points)).reshape(-1, 3), mesh=np.array(owner, dtype=np.int64))
 
 
 def edges(depth: Array, angle: float) -> Array:

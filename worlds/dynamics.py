@@ -87,6 +87,11 @@ def drive_all(
     low = static.take(static.center[:, 2] - static.half[:, 2] < REACH)
     if len(low):
         client.load_boxes(low, HALL)
+    meshes = scene.static_meshes()
+    for m in range(len(meshes)):
+        mesh = meshes.take(np.arange(len(meshes)) == m)
+        if mesh.vertices[:, 2].min() < REACH:
+            client.load_mesh(mesh, scene.bodies[meshes.body[m]].name)
     steps = round(duration / client.step_s)
     vehicles = [Vehicle(client, p, trips[p.id], duration) for p in plans if p.motion == "dynamic"]
     obstacles = [Obstacle(client, p, trips[p.id], steps) for p in plans if p.motion == "kinematic"]

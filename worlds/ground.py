@@ -63,14 +63,14 @@ class Ground:
         a, b = (tuple(round(float(v)) for v in self.cells(p) * 2**_SHIFT) for p in ends)
         cv2.line(image, a, b, [round(c * brightness) for c in FLOOR], max(1, round(width / self.cell)), cv2.LINE_AA, _SHIFT)
 
-    def shadow(self, boxes: Boxes) -> Array:
-        """(rows, columns) float32 in [0, 1]: how much of the light the boxes, in the world frame, keep from each cell."""
+    def shadow(self, boxes: Boxes, triangles: Array | None = None) -> Array:
+        """(rows, columns) float32 in [0, 1]: how much light boxes and triangles (T, 3, 3), in the world frame, keep from each cell."""
         columns, rows = self.size
         mask = np.zeros((rows, columns), dtype=np.uint8)
-        points = corners(boxes)
-        fallen = points[..., :2] - LIGHT[:2] / LIGHT[2] * np.maximum(points[..., 2:], 0.0)
-        for outline in np.round(self.cells(fallen) * 2**_SHIFT).astype(np.int32):
-            cv2.fillConvexPoly(mask, cv2.convexHull(outline), 255, cv2.LINE_AA, _SHIFT)
+        for points in (corners(boxes), np.zeros((0, 3, 3)) if triangles is None else triangles):
+            fallen = points[..., :2] - LIGHT[:2] / LIGHT[2] * np.maximum(points[..., 2:], 0.0)
+            for outline in np.round(self.cells(fallen) * 2**_SHIFT).astype(np.int32):
+                cv2.fillConvexPoly(mask, cv2.convexHull(outline), 255, cv2.LINE_AA, _SHIFT)
         return cv2.GaussianBlur(mask, (0, 0), SOFTNESS / self.cell).astype(np.float32) / 255
 
     def shaded(self, shadow: Array) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 from testbed import quantity
 from testbed.columns import Array
 from testbed.errand import Errand
-from testbed.geometry import Boxes, Mounts, Roads, Zones
+from testbed.geometry import Boxes, Meshes, Mounts, Roads, Zones
 from testbed.protocols import ActorPlan, Caster, Renderer
 from testbed.scene import Body, Scene, Truth
 from worlds.errands import gate_pose
@@ -73,12 +73,14 @@ class BaseHall(ABC):
         return self._mover.move(scene, actors, duration, root, trial, step_hz, truth_hz)
 
     def caster(self, scene: Scene, engine: str, entry_db: Array, per_metre_db: Array) -> Caster:
-        """The ray caster `engine` over the scene. ValueError for an engine that is neither "boxes" nor "bullet"."""
+        """The ray caster `engine` over the scene. ValueError for an engine that is neither "boxes" nor "bullet", or can't do meshes."""
         if engine == "boxes":
             from worlds.raycast import BoxCaster  # here, so that making a scene does not compile kernels
 
             return BoxCaster(scene, entry_db, per_metre_db)
         if engine == "bullet":
+            if len(scene.meshes):
+                raise ValueError("rays: bullet knows boxes alone, and this world has meshes: take rays: boxes, which knows both")
             from worlds.bullet_rays import BulletCaster
 
             return BulletCaster(scene, entry_db, per_metre_db)
@@ -112,7 +114,8 @@ def assemble(parts: Sequence[Part], actors: Sequence[ActorPlan], bounds: Array, 
     moving = {plan.id for plan in actors if plan.motion != "parked"}
     bodies = tuple(Body(p.name, p.kind, p.pose, p.name in moving) for p in parts)
     boxes = Boxes.concatenate([p.boxes.with_(body=np.full(len(p.boxes), i)) for i, p in enumerate(parts)])
-    return Scene(bodies, boxes, MATERIALS, bounds, Mounts.concatenate(list(_named(parts))), zones, roads)
+    meshes = Meshes.concatenate([p.meshes.with_(body=np.full(len(p.meshes), i)) for i, p in enumerate(parts)])
+    return Scene(bodies, boxes, MATERIALS, bounds, Mounts.concatenate(list(_named(parts))), zones, roads, meshes)
 
 
 def _named(parts: Sequence[Part]) -> Iterator[Mounts]:

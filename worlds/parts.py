@@ -7,14 +7,14 @@ STAND_OFF outside the surface that they belong to, so that no ray starts inside 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed import frames
 from testbed.columns import Array
-from testbed.geometry import Boxes, Mounts
+from testbed.geometry import Boxes, Meshes, Mounts
 
 MATERIALS = ("steel", "rack_bay", "carton", "liquid_pallet", "person", "wood", "plastic", "concrete", "rubber", "glass")
 STAND_OFF = 0.02  # m between a surface and a mount on it
@@ -27,13 +27,14 @@ def floor_pose(x: float, y: float, yaw: float = 0.0) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One standing thing: boxes and mounts in its own frame, materials as indices into MATERIALS."""
+    """One standing thing: boxes, mounts and meshes in its own frame, materials as indices into MATERIALS. What moves has no meshes."""
 
     name: str
     kind: str
     pose: Array
     boxes: Boxes
     mounts: Mounts
+    meshes: Meshes = field(default_factory=Meshes.empty)
 
 
 class Builder:

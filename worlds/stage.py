@@ -13,10 +13,11 @@ from numpy.typing import ArrayLike
 
 from testbed import frames
 from testbed.columns import Array
-from testbed.geometry import Boxes
+from testbed.geometry import Boxes, Meshes
 from testbed.view import Camera
 from worlds.bullet import Client, Handle
 
+TRIANGLES_PER_MESH = 4000
 BOXES_PER_MESH = 500  # 24 corners each: far from the engine's limits on a mesh
 LIGHT = np.array([0.35, -0.45, 0.82])  # towards the light, world frame: every visible side of a box gets a brightness of its own
 AMBIENT, DIFFUSE = 0.72, 0.34  # a face turned to the light has its own colour, one turned away three quarters of it
@@ -36,24 +37,38 @@ class VisualClient(Client):
 
     def show(self, boxes: Boxes, name: str, colour: ArrayLike, pose: ArrayLike = frames.IDENTITY) -> list[Handle]:
         """Boxes in the frame `pose` (7,), in one colour (3,) of [0, 1]: a few meshes, for many separate boxes render slowly."""
-        rgba = [*np.asarray(colour, dtype=np.float64).tolist(), 1.0]
+        parts = [mesh(boxes.take(slice(i, i + BOXES_PER_MESH))) for i in range(0, len(boxes), BOXES_PER_MESH)]
+        return [self._shown(part, name, colour, pose) for part in parts]
+
+    def show_mesh(self, meshes: Meshes, name: str, colour: ArrayLike, pose: ArrayLike = frames.IDENTITY) -> list[Handle]:
+        """The triangles of meshes in the frame `pose` (7,), in one colour (3,), each flat."""
+        corners = meshes.corners()
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        flat, corners = (normal / np.maximum(length, 1e-300))[length[:, 0] > 0], corners[length[:, 0] > 0]
         handles = []
-        for first in range(0, len(boxes), BOXES_PER_MESH):
-            corners, normals, triangles = mesh(boxes.take(slice(first, first + BOXES_PER_MESH)))
-            shape = self._p.createVisualShape(
-                self._p.GEOM_MESH,
-                vertices=corners.tolist(),
-                normals=normals.tolist(),
-                indices=triangles.tolist(),
-                rgbaColor=rgba,
-                physicsClientId=self._id,
+        for i in range(0, len(corners), TRIANGLES_PER_MESH):
+            some = corners[i : i + TRIANGLES_PER_MESH].reshape(-1, 3)
+            handles.append(
+                self._shown((some, np.repeat(flat[i : i + TRIANGLES_PER_MESH], 3, axis=0), np.arange(len(some))), name, colour, pose)
             )
-            if shape < 0:
-                raise RuntimeError(f"PyBullet made no mesh of {name}")
-            handle = self._handle(self._p.createMultiBody(0, -1, shape, physicsClientId=self._id), name)
-            self.place(handle, pose)
-            handles.append(handle)
         return handles
+
+    def _shown(self, part: tuple[Array, Array, Array], name: str, colour: ArrayLike, pose: ArrayLike) -> Handle:
+        corners, normals, triangles = part
+        shape = self._p.createVisualShape(
+            self._p.GEOM_MESH,
+            vertices=corners.tolist(),
+            normals=normals.tolist(),
+            indices=triangles.tolist(),
+            rgbaColor=[*np.asarray(colour, dtype=np.float64).tolist(), 1.0],
+            physicsClientId=self._id,
+        )
+        if shape < 0:
+            raise RuntimeError(f"PyBullet made no mesh of {name}")
+        handle = self._handle(self._p.createMultiBody(0, -1, shape, physicsClientId=self._id), name)
+        self.place(handle, pose)
+        return handle
 
     def picture(self, camera: Camera, window: Window | None = None) -> tuple[Array, Array, Array]:
         """What the camera sees: (H, W, 3) uint8, depth (H, W) float32 in m along the optical axis, PyBullet's body numbers (H, W) int32.

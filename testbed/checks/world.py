@@ -106,6 +106,7 @@ def _scene_is_sound(who: str, scene: Scene) -> None:
     known = (scene.boxes.material >= 0).all() and scene.boxes.material.max(initial=0) < max(1, len(scene.materials))
     require(known, who, "a box is made of a material that is not listed")
     require((scene.boxes.half > 0).all(), who, "a box has no extent")
+    _meshes_are_sound(who, scene)
     require(np.isfinite(scene.bounds).all() and (scene.bounds[1] > scene.bounds[0]).all(), who, "the bounds are not a room")
     poses = scene.rest_poses()
     require(np.isfinite(poses).all() and _unit(poses[:, 3:]) and _unit(scene.boxes.quaternion), who, "a pose is not finite, or no rotation")
@@ -114,6 +115,18 @@ def _scene_is_sound(who: str, scene: Scene) -> None:
     center, quaternion = _in_world(poses, boxes.body, boxes.center, boxes.quaternion)
     position, _ = _in_world(poses, mounts.body, mounts.position, mounts.quaternion)
     _outside(who, mounts, position, center, quaternion, boxes.half)
+
+
+def _meshes_are_sound(who: str, scene: Scene) -> None:
+    meshes = scene.meshes
+    inside = (meshes.body >= WORLD).all() and meshes.body.max(initial=WORLD) < len(scene.bodies)
+    require(inside, who, "a mesh belongs to a body that is not there")
+    require(not np.isin(meshes.body, scene.moving).any(), who, "a body with a mesh moves: what moves is made of boxes")
+    known = (meshes.material >= 0).all() and meshes.material.max(initial=0) < max(1, len(scene.materials))
+    require(known, who, "a mesh is made of a material that is not listed")
+    there = meshes.triangles.min(initial=0) >= 0 and meshes.triangles.max(initial=-1) < len(meshes.vertices)
+    require(there and np.isfinite(meshes.vertices).all(), who, "a mesh has a corner that is not there, or not finite")
+    require(set(meshes.mesh.tolist()) == set(range(len(meshes))), who, "a mesh has no triangles")
 
 
 def _mounts_are_sound(who: str, mounts: Mounts) -> None:
@@ -136,7 +149,7 @@ def _in_world(poses: Array, body: Array, position: Array, quaternion: Array) -> 
 
 def _same_scene(a: Scene, b: Scene) -> bool:
     poses = same(a.rest_poses(), b.rest_poses()) and [x.name for x in a.bodies] == [x.name for x in b.bodies]
-    return poses and a.boxes.equals(b.boxes) and a.mounts.equals(b.mounts) and a.materials == b.materials
+    return poses and a.boxes.equals(b.boxes) and a.meshes.equals(b.meshes) and a.mounts.equals(b.mounts) and a.materials == b.materials
 
 
 def _unit(quaternion: Array) -> bool:

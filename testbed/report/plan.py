@@ -27,17 +27,21 @@ class Footprint:
 
 
 def standing(scene: Scene) -> list[Footprint]:
-    """Every body that never moves. Boxes of one outline, such as a rack's levels, are given once."""
-    boxes = scene.static_boxes()
+    """Every body that never moves. Boxes of one outline, such as a rack's levels, are given once; of meshes what faces down."""
+    boxes, meshes = scene.static_boxes(), scene.static_meshes()
+    triangles, of = meshes.corners(), meshes.body[meshes.mesh]
+    facing = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    under = np.where(meshes.closed[meshes.mesh], -facing[:, 2], np.abs(facing[:, 2])) > 1e-9  # what one walks under, or can't walk through
+    triangles, of = triangles[under], of[under]
     found = []
     for index, body in enumerate(scene.bodies):
         own = np.flatnonzero(boxes.body == index)
-        if body.moving or not len(own):
+        if body.moving or not len(own) + (of == index).sum():
             continue
-        corners = _corners(boxes.take(own))
-        high = corners[:, :, 2].min(axis=1) >= OVERHEAD
-        solid, overhead = (_distinct([hull(c[:, :2]) for c in corners[mask]]) for mask in (~high, high))
-        found.append(Footprint(body.name, body.kind, solid, overhead, hull(corners[:, :, :2].reshape(-1, 2))))
+        shapes = [*_corners(boxes.take(own)), *triangles[of == index]]
+        high = np.array([shape[:, 2].min() >= OVERHEAD for shape in shapes])
+        solid, overhead = (_distinct([hull(shapes[i][:, :2]) for i in np.flatnonzero(mask)]) for mask in (~high, high))
+        found.append(Footprint(body.name, body.kind, solid, overhead, hull(np.concatenate(shapes)[:, :2])))
     return found
 
 
