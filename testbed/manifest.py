@@ -47,7 +47,8 @@ def describe(scenario: Scenario, keep: str, command: Sequence[str] = ()) -> dict
 
 def rebuilt(manifest: dict[str, Any]) -> Scenario:
     """The scenario that a manifest describes."""
-    return from_dict(manifest["scenario"]["document"])
+    path = manifest["scenario"].get("path")
+    return from_dict(manifest["scenario"]["document"], folder=Path(path).parent if path else None)
 
 
 def versions(scenario: Scenario) -> dict[str, str]:

@@ -22,6 +22,14 @@ class Config(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
 
 
+class UnusableFile(ValueError):
+    """A section names a file that can't be used; the message names the file, and the place in it."""
+
+
+class FileMissing(UnusableFile):
+    """A section names a file that is not on this machine: the section may be right all the same."""
+
+
 class Misplaced(ValueError):
     """A mistake with a place of its own: `place` are the keys and indices that lead to it from the section that is judged."""
 

@@ -12,12 +12,13 @@ from testbed.columns import Array, Table
 from testbed.known_tags import references
 from testbed.plugins import load
 from testbed.protocols import ActorPlan, PlacesAnew, Sensed, Sensor, Surroundings, World
-from testbed.quantity import Misplaced
+from testbed.quantity import FileMissing, Misplaced, UnusableFile
 from testbed.radio.materials import MATERIALS, losses
 from testbed.recording import Recording, Trial
 from testbed.report.cameras import mistakes
 from testbed.rng import Counter, keys_of
 from testbed.route import Route
+from testbed.scenario.problems import DataMissing
 from testbed.scenario.reporting import mistakes as unfit
 from testbed.scene import WORLD, Scene, Truth
 from testbed.tagging import choose_targets, place_tags
@@ -39,7 +40,7 @@ class Simulator:
         self._actors = [_plan(section) for section in scenario.actors]
         self._world: World = load("worlds", scenario.world.kind)(scenario.world.config)
         try:
-            self.scene: Scene = self._world.scene(self._actors)
+            self.scene: Scene = self._furnished()
             self.tagged, on = place_tags(scenario, self.scene)
             self.aims = choose_targets(scenario, self.scene, self.tagged, on)
             self.sensors = [self._sensor(section) for section in scenario.sensors]
@@ -52,6 +53,15 @@ class Simulator:
         except BaseException:
             self._world.close()
             raise
+
+    def _furnished(self) -> Scene:
+        """The world's scene. ScenarioError for a file that it can't be made of; DataMissing where that isn't on this machine."""
+        try:
+            return self._world.scene(self._actors)
+        except FileMissing as error:
+            raise DataMissing([self.scenario.source.problem(self.scenario.world.loc, str(error))]) from None
+        except UnusableFile as error:
+            raise self.scenario.problem(self.scenario.world.loc, str(error)) from None
 
     def _sensor(self, section: Any) -> Sensor:
         try:

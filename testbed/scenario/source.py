@@ -123,10 +123,11 @@ class Review:
     def check(self, model: type[M], data: Any, loc: Loc, known: Iterable[str] = ()) -> M | None:
         """The validated model, or None with its mistakes put down. `known` are keys that belong there besides the model's.
 
-        A model's validators find tables beside the scenario by `info.context["table"](name)`, which gives the text.
+        A model's validators find tables beside the scenario by `info.context["table"](name)`, which gives the text, and the
+        scenario's folder as `info.context["folder"]`, None where it came from no file.
         """
         try:
-            checked = model.model_validate(data, context={"table": self.source.table})
+            checked = model.model_validate(data, context={"table": self.source.table, "folder": self.source.folder})
         except ValidationError as error:
             for place, message, at_key in findings(error, model, data, known):
                 self.note((*loc, *place), message, at_key)

@@ -1,10 +1,13 @@
 """Every registered plug-in keeps its contract."""
 
+from pathlib import Path
+
 import pytest
 
 from testbed import plugins
 from testbed.check import check_actor, check_estimator, check_metric, check_sensor, check_world
 
+WORLDS = Path(__file__).parents[1] / "files" / "worlds"
 CHECKS = {
     "estimators": check_estimator,
     "worlds": check_world,
@@ -18,6 +21,10 @@ CONFIGS = {  # of plug-ins that can't do without being told something
     "compass": {"on": "cart"},
     "height": {"on": "cart"},
     "handheld": {"on": "cart"},
+    "sdf": {"path": f"{WORLDS}/hall.sdf"},
+    "building_map": {"path": f"{WORLDS}/house.building.yaml"},
+    "occupancy": {"path": f"{WORLDS}/map.yaml"},
+    "grid": {"path": f"{WORLDS}/arena.map", "cell_m": 0.5},
     "log_distance": {"antennas": [{"position_m": (3.0, 0.0, 1.0)}, {"position_m": (1.0, 4.0, 2.0)}]},
 }
 

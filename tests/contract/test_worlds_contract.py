@@ -1,6 +1,7 @@
 """What every world and every actor must keep to, over all that are registered."""
 
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +21,14 @@ CONFIGS = {
         {"gate_width_m": 1.2, "gate_height_m": 2.9, "antenna_high_m": 2.6, "gate_toe_deg": 60.0, "fill": 0.0},
     ],
     "open_floor": [{}, {"posts": 8, "length_m": 30.0}, {"posts": 0, "length_m": 2.0, "width_m": 2.0}],
+    "building_map": [{}, {"sizes_m": {"*Desk": (1.6, 0.8, 0.75)}, "doors": "closed"}],
+}
+FILES = Path(__file__).parents[1] / "files" / "worlds"
+NEEDED = {  # what a world can't do without
+    "sdf": {"path": f"{FILES}/hall.sdf"},
+    "building_map": {"path": f"{FILES}/house.building.yaml"},
+    "occupancy": {"path": f"{FILES}/map.yaml"},
+    "grid": {"path": f"{FILES}/arena.map", "cell_m": 0.5},
 }
 WORLDS = [
     pytest.param(name, config, id=f"{name}{i}") for name in plugins.names("worlds") for i, config in enumerate(CONFIGS.get(name, [{}]))
@@ -29,7 +38,7 @@ ROUTE = Route(waypoints_m=[(1.2, 1.0), (1.9, 1.7)], speed_jitter=0.1, lateral_ji
 
 def world(name, config):
     cls = plugins.load("worlds", name)
-    return cls(cls.Config(**config))
+    return cls(cls.Config(**NEEDED.get(name, {}), **config))
 
 
 def make(kind, motion="kinematic", name=None):
@@ -60,7 +69,7 @@ def test_a_scene_is_sound(name, config):
     assert not any(b.moving for b in scene.bodies)
     assert scene.materials == MATERIALS
     assert ((scene.boxes.material >= 0) & (scene.boxes.material < len(MATERIALS))).all()
-    assert set(scene.boxes.body) == set(range(len(scene.bodies)))  # every body has a box
+    assert set(scene.piece_body) == set(range(len(scene.bodies)))  # every body has a box or a mesh
     assert (scene.boxes.half > 0).all()
     for quaternion in (scene.boxes.quaternion, scene.mounts.quaternion, scene.rest_poses()[:, 3:]):
         np.testing.assert_allclose(np.linalg.norm(quaternion, axis=1), 1.0, atol=1e-12)
@@ -132,7 +141,8 @@ def test_every_standing_body_is_hit_by_a_ray_in_the_physics_engine(name):
         hits = client.hits(above, boxes.center)
     # nothing but the box itself, or one that rests on it, lies between its top and its middle
     hit = np.array([body_of.get(int(b), -1) for b in hits.body])
-    assert set(hit[hit == boxes.body]) == set(range(len(scene.bodies)))
+    assert set(hit[hit == boxes.body]) == set(boxes.body)
+    assert set(body_of.values()) == set(range(len(scene.bodies)))  # a mesh is tested by a ray of its own when it is loaded
 
 
 @pytest.mark.parametrize("name", plugins.names("worlds"))
