@@ -81,13 +81,16 @@ class Guide(ABC):
         actions: Actions = event.data
         stepping = np.asarray(actions.step) > 0
         self._known[event.row] = True
-        self._turn(event.row[~stepping], actions.take(~stepping))
-        self._step(event.row[stepping], actions.take(stepping))
+        if stepping.all():
+            self._step(event.row, actions)
+        elif not stepping.any():
+            self._turn(event.row, actions)
+        else:
+            self._turn(event.row[~stepping], actions.take(~stepping))
+            self._step(event.row[stepping], actions.take(stepping))
         return UpdateInfo.accepted(len(event))
 
     def _turn(self, rows: Array, actions: Actions) -> None:
-        if not len(rows):
-            return
         self._stream.forget(rows)
         before = self._heard[rows].copy()
         self._heard[rows] = actions.heard
@@ -96,8 +99,6 @@ class Guide(ABC):
         self._turned(rows, np.asarray(actions.turn), np.asarray(actions.heard), before)
 
     def _step(self, rows: Array, actions: Actions) -> None:
-        if not len(rows):
-            return
         change, spread, trusted = np.array(actions.change), np.zeros(len(rows)), np.ones(len(rows), dtype=bool)
         missing = np.flatnonzero(np.isnan(change))
         self._said[rows] = np.where(self._said[rows] == _WRAP, _WRAP, _FINE)  # a reader that lies once is not believed again

@@ -69,32 +69,23 @@ class HandheldRb(Guide):
         drawn = self.rng.uniform(2 * n).reshape(self.rows, 2, n)
         self._range = 0.5 + (self.config.farthest_m - 0.5) * drawn[:, 0]
         self._bearing = np.pi * (2 * drawn[:, 1] - 1)
-        self._weight = np.full((self.rows, n), 1 / n)
-        self._rule()
+        self._weight, self._told = np.full((self.rows, n), 1 / n), np.zeros(self.rows)
+        self._rule(np.arange(self.rows))
 
     # ------------------------------------------------------------ what is done
 
     def _turned(self, rows: Array, turn: Array, heard: Array, before: Array) -> None:
         c = self.config
         errors = np.deg2rad(c.turn_std_deg) * self.rng.normal(c.particles, rows)
-        errors[turn == 0] = 0.0  # who only listened, or was told to go on, did not turn
-        bearing = _wrapped(self._bearing[rows] - turn[:, None] - errors)
-        self._bearing[rows] = bearing
-        self._weight[rows] *= self._answers(bearing, heard)
+        half = np.inf if c.beam_deg is None else np.deg2rad(c.beam_deg) / 2
+        bearing, weight = self._bearing[rows], self._weight[rows]
+        _turn(bearing, weight, turn, errors, heard, half, np.deg2rad(c.edge_deg) / 4, c.answers)
+        self._bearing[rows], self._weight[rows] = bearing, weight
         self._choose(rows)
-
-    def _answers(self, bearing: Array, heard: Array) -> Array:
-        """(R, N) how likely what was heard is for a tag at these bearings (R, N)."""
-        c = self.config
-        if c.beam_deg is None:
-            return np.ones_like(bearing)
-        off = (np.abs(bearing) - np.deg2rad(c.beam_deg) / 2) / (np.deg2rad(c.edge_deg) / 4)
-        inside = 0.01 + (c.answers - 0.01) / (1 + np.exp(np.clip(off, -40, 40)))
-        return np.where(heard[:, None], inside, 1 - inside)
 
     def _stepped(self, rows: Array, step: Array, change: Array, spread: Array, trusted: Array) -> None:
         c, n = self.config, self.config.particles
-        drawn = self.rng.uniform(2 * n, rows).reshape(len(rows), 2, n)
+        drawn = self.rng.uniform(n, rows)
         normal = self.rng.normal(2 * n, rows).reshape(len(rows), 2, n)
         further = np.where(trusted, change, np.nan) / self.wavenumber
         noise = np.hypot(np.deg2rad(c.phase_std_deg), spread) / self.wavenumber
@@ -107,34 +98,25 @@ class HandheldRb(Guide):
         """Normalise; where few particles carry the weight draw them anew, some of them from scratch."""
         c, n = self.config, self.config.particles
         weight = self._weight[rows]
-        total = weight.sum(axis=1, keepdims=True)
-        weight = np.where(total > 0, weight / np.where(total > 0, total, 1.0), 1 / n)
+        few = np.flatnonzero(_settled(weight) < c.resample_below * n)
         self._weight[rows] = weight
-        few = np.flatnonzero(1 / (weight**2).sum(axis=1) < c.resample_below * n)
         if len(few):
             some = rows[few]
-            drawn = self.rng.uniform(1 + 3 * n, some)
+            drawn = self.rng.uniform(1 + 2 * n, some)
             chosen = systematic(weight[few], drawn[:, 0])
-            place = np.take_along_axis(self._range[some], chosen, axis=1)
-            bearing = np.take_along_axis(self._bearing[some], chosen, axis=1)
-            new, u, v = drawn[:, 1 : n + 1] < c.fresh, drawn[:, n + 1 : 2 * n + 1], drawn[:, 2 * n + 1 :]
-            self._range[some] = np.where(new, 0.2 + (c.farthest_m - 0.2) * u, place)
-            self._bearing[some] = np.where(new, np.pi * (2 * v - 1), bearing)
+            self._range[some], self._bearing[some] = _anew(self._range[some], self._bearing[some], chosen, drawn, c.fresh, c.farthest_m)
             self._weight[some] = 1 / n
-        self._rule()
+        self._rule(rows)
 
     # ------------------------------------------------------------ what is advised
 
-    def _rule(self) -> None:
+    def _rule(self, rows: Array) -> None:
         """The turn that maximises E[cos(β - u)] + explore · std[cos(β - u)] over the directions u."""
-        w, b = self._weight, self._bearing
-        c1, s1 = (w * np.cos(b)).sum(axis=1), (w * np.sin(b)).sum(axis=1)
-        c2, s2 = (w * np.cos(2 * b)).sum(axis=1), (w * np.sin(2 * b)).sum(axis=1)
-        u = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS - np.pi
-        mean = c1[:, None] * np.cos(u) + s1[:, None] * np.sin(u)
-        square = 0.5 + 0.5 * (c2[:, None] * np.cos(2 * u) + s2[:, None] * np.sin(2 * u))
+        c1, s1, c2, s2 = _moments(self._weight[rows], self._bearing[rows])[:, :, None]
+        mean = c1 * _COS[0] + s1 * _SIN[0]
+        square = 0.5 + 0.5 * (c2 * _COS[1] + s2 * _SIN[1])
         value = mean + self.config.explore * np.sqrt(np.maximum(square - mean**2, 0.0))
-        self._told = u[np.argmax(np.round(value, 9), axis=1)]
+        self._told[rows] = _U[np.argmax(np.round(value, 9), axis=1)]
 
     def _aim(self) -> Array:
         return self._told
@@ -169,8 +151,74 @@ class HandheldRb(Guide):
         return np.stack([x, y, np.zeros_like(x)], axis=-1), self._weight.copy()
 
 
-def _wrapped(angle: Array) -> Array:
-    return np.mod(angle + np.pi, 2 * np.pi) - np.pi
+_U = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS - np.pi
+_COS, _SIN = (np.stack([of(_U), of(2 * _U)]) for of in (np.cos, np.sin))
+
+
+@njit(cache=True)
+def _turn(bearing, weight, turn, errors, heard, half, soft, answers):
+    """A turn of E rows, in place: bearings go the other way, and weights by how likely what was heard is for a tag there.
+
+    half : of the beam, rad, infinite for all round; soft : how soft its edge is, rad
+    """
+    rows, n = weight.shape
+    for b in range(rows):
+        stood = turn[b] == 0.0  # who only listened, or was told to go on, did not turn
+        for i in range(n):
+            a = bearing[b, i] - turn[b] - (0.0 if stood else errors[b, i])
+            a -= 2 * np.pi * np.floor(a / (2 * np.pi) + 0.5)
+            bearing[b, i] = a
+            if np.isinf(half):
+                continue
+            off = min(max((abs(a) - half) / soft, -40.0), 40.0)
+            inside = 0.01 + (answers - 0.01) / (1 + np.exp(off))
+            weight[b, i] *= inside if heard[b] else 1 - inside
+
+
+@njit(cache=True)
+def _settled(weight):
+    """Normalise E rows of weights in place; the effective numbers of particles (E,)."""
+    rows, n = weight.shape
+    number = np.empty(rows)
+    for b in range(rows):
+        total, square = 0.0, 0.0
+        for i in range(n):
+            total += weight[b, i]
+        for i in range(n):
+            weight[b, i] = weight[b, i] / total if total > 0 else 1 / n
+            square += weight[b, i] ** 2
+        number[b] = 1 / square
+    return number
+
+
+@njit(cache=True)
+def _anew(place, bearing, chosen, drawn, fresh, farthest):
+    """(ranges, bearings) of the heirs `chosen` (E, N), a share `fresh` of them begun from scratch."""
+    rows, n = chosen.shape
+    r, a = np.empty((rows, n)), np.empty((rows, n))
+    for b in range(rows):
+        for i in range(n):
+            if drawn[b, 1 + i] < fresh:
+                r[b, i] = 0.2 + (farthest - 0.2) * drawn[b, 1 + i] / fresh
+                a[b, i] = np.pi * (2 * drawn[b, 1 + n + i] - 1)
+            else:
+                r[b, i], a[b, i] = place[b, chosen[b, i]], bearing[b, chosen[b, i]]
+    return r, a
+
+
+@njit(cache=True)
+def _moments(weight, bearing):
+    """(4, E): the means of cos β, sin β, cos 2β and sin 2β."""
+    rows, n = weight.shape
+    found = np.zeros((4, rows))
+    for b in range(rows):
+        for i in range(n):
+            w, c, s = weight[b, i], np.cos(bearing[b, i]), np.sin(bearing[b, i])
+            found[0, b] += w * c
+            found[1, b] += w * s
+            found[2, b] += w * (c * c - s * s)
+            found[3, b] += 2 * w * c * s
+    return found
 
 
 @njit(cache=True)
@@ -187,7 +235,7 @@ def _go(place, bearing, weight, drawn, normal, step, further, noise, slip, wrong
         for i in range(n):
             r, a = place[b, i], bearing[b, i]
             x, y = r * np.cos(a), r * np.sin(a) - slip * normal[b, 0, i]
-            if blind or drawn[b, 0, i] < wrong:
+            if blind or drawn[b, i] < wrong:
                 x -= step[b] + slip * normal[b, 1, i]
                 place[b, i], bearing[b, i] = np.sqrt(x * x + y * y), np.arctan2(y, x)
                 if not blind:  # any change that a step can make
@@ -208,7 +256,7 @@ def _go(place, bearing, weight, drawn, normal, step, further, noise, slip, wrong
             steep = min(new / max(ahead, 1e-9), STEEPEST)
             before, passed = _density((x - ahead - step[b]) / slip), _density((x + ahead - step[b]) / slip)
             weight[b, i] *= steep * (before + passed) / slip
-            if drawn[b, 1, i] * (before + passed) >= before:
+            if (drawn[b, i] - wrong) / (1 - wrong) * (before + passed) >= before:
                 ahead = -ahead
             place[b, i], bearing[b, i] = new, np.arctan2(y, ahead)
 

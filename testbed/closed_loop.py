@@ -27,7 +27,7 @@ from testbed.rng import Counter, RowRandom, keys_of
 from testbed.scene import WORLD, Truth
 from testbed.sensors.handheld import Handheld
 from testbed.sensors.rfid import Rfid
-from testbed.types import Event, Prior, Reads, Track
+from testbed.types import Event, Prior, Reads, Track, UpdateInfo
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario, Section
@@ -132,7 +132,10 @@ class _Loop:
             rows = np.flatnonzero(active)
             lost = rows[np.isnan(advice.turn[rows]) & (advice.step[rows] == 0)]  # there is no direction
             on = lost[~hears[lost] & (self._walked_on[lost] < c.walks_on)]
-            active[lost[~np.isin(lost, on)]] = False
+            ends = lost[~np.isin(lost, on)]
+            active[ends] = False
+            if len(ends):
+                self._ended(ends, hears[ends], advice)
             if len(on):
                 self._walked_on[on] += 1
                 hears[on] = self._walk_on(on, advice)
@@ -216,6 +219,13 @@ class _Loop:
         found = (self._people.range(rows) < self._config.found_m) & (kind == "step")
         self._log.add(rows, kind, actions, heard, advice, length, found, self._guide, info)
         return np.asarray(heard.answers)
+
+    def _ended(self, rows: Array, hears: Array, advice: Advice) -> None:
+        """Their guide has no direction for them, and says why: the last thing that is written down of their walk."""
+        t, zero = self._people.t[rows].copy(), np.zeros(len(rows))
+        actions = Actions(t, t, t, zero, zero, zero, hears)
+        nobody, info = np.zeros(len(rows), dtype=bool), UpdateInfo.accepted(len(rows))
+        self._log.add(rows, "end", actions, Heard(hears), advice, zero, nobody, self._guide, info)
 
     # ------------------------------------------------------------ what came of it
 

@@ -15,7 +15,8 @@ class Walk(Table):
 
     An instruction is a turn, then a step if the tag answers: up to two rows have the same turn_asked, step_asked and said. x, y, heading,
     range and bearing are true, as they are when the action is complete; bearing and aim are from where the person looks, and aim is where
-    the guide believed the tag to be then. kind is "start", "turn" or "step".
+    the guide believed the tag to be then. kind is "start", "turn" or "step", and "end" where the guide had no direction to give: then
+    nothing was done, and said tells why.
     """
 
     kind: Array = column("str")

@@ -8,11 +8,13 @@ import pickle
 import numpy as np
 import pytest
 
+from estimators.handheld_guide import MISDECLARED, NO_ANSWER, NO_READS
 from testbed import archive, batch, worker
 from testbed.guided.ears import PlainEar
 from testbed.guided.log import along
 from testbed.guided.section import GuidedWalk
 from testbed.guided.walkers import Walkers, started
+from testbed.guided.words import instructions
 from testbed.metrics.guidance import Guidance
 from testbed.metrics.phase_steps import PhaseSteps
 from testbed.scenario import ScenarioError, from_dict
@@ -182,6 +184,30 @@ def test_a_tag_that_never_answers_ends_the_walk_in_words(tmp_path):
     assert not (walk.kind == "step").any()
     assert (walk.kind == "turn").sum() == 11  # with the first listening a dozen times without an answer
     assert np.isnan(walk.aim).all()
+    assert instructions(walk)[-1].text == NO_ANSWER
+
+
+def test_a_reader_that_wraps_otherwise_than_declared_ends_the_walk_in_words(tmp_path):
+    """The reader wraps at π, the guide is told 2π: the walk ends after the first step, and no direction was ever given."""
+    guides = [{"id": "paper", "kind": "handheld_paper"}, {"id": "none", "kind": "handheld_rb"}]
+    scenario = changed(sensors=[{"kind": "handheld", "on": "user", "reports": "reads", "wraps_at": "pi"}], estimators=guides)
+    for walk in walks(scenario, folder=tmp_path).values():
+        assert (walk.kind == "step").sum() == 1
+        assert instructions(walk)[-1].text == MISDECLARED
+        assert np.isnan(walk.aim).all()
+        assert not walk.found.any()
+
+
+def test_steps_without_reads_are_told_and_followed_by_no_direction_until_the_tag_is_heard_again(tmp_path):
+    sensor = {"kind": "handheld", "on": "user", "reports": "reads", "rate_hz": 2, "beam_deg": None}
+    scenario = changed(sensors=[sensor], estimators=[{"id": "rb", "kind": "handheld_rb", "beam_deg": None}], duration_s=120)
+    walk = walks(scenario, folder=tmp_path)["rb"]
+    empty = (walk.kind == "step") & ~walk.heard
+    assert empty.any()
+    assert np.isnan(walk.aim[empty]).all()
+    assert not walk.trusted[empty].any()
+    after = np.flatnonzero(empty[:-1]) + 1
+    assert all(str(said).startswith(NO_READS) for said in walk.said[after])
 
 
 # ---------------------------------------------------------------- what a guided scenario must have

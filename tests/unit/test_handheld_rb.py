@@ -29,7 +29,7 @@ def act(made, turn=0.0, step=0.0, heard=True, change=np.nan):
 def go(place, bearing, further, drawn=0.5, slip=0.0, other=0.0, step=0.5, noise=0.0, wrong=0.0):
     """One particle's step: range, bearing and weight afterwards."""
     r, a, w = np.array([[place]]), np.array([[bearing]]), np.ones((1, 1))
-    us, ns = np.array([[[0.99], [drawn]]]), np.array([[[slip], [other]]])
+    us, ns = np.array([[drawn]]), np.array([[[slip], [other]]])
     _go(r, a, w, us, ns, np.array([step]), np.array([further]), np.array([noise]), SLIP, wrong)
     return r[0, 0], a[0, 0], w[0, 0]
 
@@ -102,13 +102,13 @@ def test_the_rule_maximises_mean_plus_spread_and_without_exploring_goes_straight
     made._weight = np.full((1, 400), 1 / 400)
     grid = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS - np.pi
     cosines = np.cos(made._bearing[0][None] - grid[:, None])
-    made._rule()
+    made._rule(np.arange(1))
     best = grid[np.argmax(cosines.mean(axis=1) + cosines.std(axis=1))]
     assert made._told[0] == pytest.approx(best)
     assert abs(made._told[0]) > 0.8, "exploring chooses one of the two sides"
     straight = guide(particles=400, explore=0)
     straight._bearing, straight._weight = made._bearing, made._weight
-    straight._rule()
+    straight._rule(np.arange(1))
     assert abs(straight._told[0]) < 0.5, "the mean lies between them"
 
 
@@ -123,13 +123,16 @@ def test_steps_become_short_near_the_tag_and_never_too_short():
 
 
 def test_a_walk_past_the_tag_is_understood():
-    """A person without errors walks by a tag 2 m to the left: afterwards the guide looks back to one side, 2 m off."""
-    made = guide(particles=2000, turn_std_deg=3, step_std_m=0.02)
+    """People without errors walk by a tag 2 m to one side: afterwards their guides look back to it, 2 m off.
+
+    One guide's mean strays by 0.35 m, that of twenty by 0.08 m: 0.3 m is missed by chance less often than once in 1,000 builds.
+    """
+    made = guide(rows=20, particles=2000, turn_std_deg=3, step_std_m=0.02)
     act(made)
     x = np.arange(0, 5.01, 0.5)
     ranges = np.hypot(3.0 - x, 2.0)
     for further in np.diff(ranges):
         act(made, step=0.5, change=made.wavenumber * further)
     lateral = np.abs(made._range * np.sin(made._bearing))
-    assert (made._weight * lateral).sum() == pytest.approx(2.0, abs=0.35)
-    assert np.cos(made._bearing[0]) @ made._weight[0] < 0
+    assert (made._weight * lateral).sum(axis=1).mean() == pytest.approx(2.0, abs=0.3)
+    assert ((made._weight * np.cos(made._bearing)).sum(axis=1) < 0).all()
