@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cache
 from typing import Any, Self
 
 import numpy as np
@@ -29,6 +30,13 @@ def column(dtype: str, shape: Shape = ("N",), unit: str = "", default: Any = Non
     return field(metadata=metadata) if default is None else field(default=None, metadata=metadata)
 
 
+@cache
+def _declared(kind: type_) -> tuple[tuple[str, Mapping[str, Any]], ...]:
+    """Names and declarations of a type's arrays, those with a default last: they need the sizes of the others."""
+    found = [(f.name, f.metadata) for f in fields(kind) if "dtype" in f.metadata]
+    return tuple(sorted(found, key=lambda one: one[1]["fill"] is not None))
+
+
 @dataclass(frozen=True, eq=False)
 class Columns:
     """Base of every columnar type: coerces, checks and freezes the arrays declared with `column`.
@@ -38,12 +46,11 @@ class Columns:
 
     def __post_init__(self) -> None:
         sizes: dict[str, tuple[int, str]] = {}
-        declared = [f for f in fields(self) if "dtype" in f.metadata]
-        for f in sorted(declared, key=lambda f: f.metadata["fill"] is not None):  # those with a default last: they need the sizes
-            value = getattr(self, f.name)
-            if value is None and f.metadata["fill"] is not None:
-                value = np.full([sizes.get(d, (0,))[0] if isinstance(d, str) else d for d in f.metadata["shape"]], f.metadata["fill"])
-            object.__setattr__(self, f.name, self._checked(f.name, f.metadata, value, sizes))
+        for name, declared in _declared(type_(self)):
+            value = getattr(self, name)
+            if value is None and declared["fill"] is not None:
+                value = np.full([sizes.get(d, (0,))[0] if isinstance(d, str) else d for d in declared["shape"]], declared["fill"])
+            object.__setattr__(self, name, self._checked(name, declared, value, sizes))
 
     def _checked(self, name: str, declared: Mapping[str, Any], value: Any, sizes: dict[str, tuple[int, str]]) -> Array:
         where = f"{type_(self).__name__}.{name}"
