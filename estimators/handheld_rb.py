@@ -12,6 +12,7 @@ from typing import Annotated
 import numpy as np
 from numba import njit
 from pydantic import Field
+from scipy.special import ndtri
 
 from estimators.handheld_guide import Guide, GuideConfig
 from estimators.resampling import systematic
@@ -76,33 +77,33 @@ class HandheldRb(Guide):
 
     def _turned(self, rows: Array, turn: Array, heard: Array, before: Array) -> None:
         c = self.config
-        errors = np.deg2rad(c.turn_std_deg) * self.rng.normal(c.particles, rows)
+        drawn = self.rng.uniform(3 * c.particles + 1, rows)  # one call for all: it costs more than its numbers
+        errors = np.deg2rad(c.turn_std_deg) * ndtri(drawn[:, : c.particles])
         half = np.inf if c.beam_deg is None else np.deg2rad(c.beam_deg) / 2
         bearing, weight = self._bearing[rows], self._weight[rows]
         _turn(bearing, weight, turn, errors, heard, half, np.deg2rad(c.edge_deg) / 4, c.answers)
         self._bearing[rows], self._weight[rows] = bearing, weight
-        self._choose(rows)
+        self._choose(rows, drawn[:, c.particles :])
 
     def _stepped(self, rows: Array, step: Array, change: Array, spread: Array, trusted: Array) -> None:
         c, n = self.config, self.config.particles
-        drawn = self.rng.uniform(n, rows)
-        normal = self.rng.normal(2 * n, rows).reshape(len(rows), 2, n)
+        drawn = self.rng.uniform(5 * n + 1, rows)
+        normal = ndtri(drawn[:, n : 3 * n]).reshape(len(rows), 2, n)
         further = np.where(trusted, change, np.nan) / self.wavenumber
         noise = np.hypot(np.deg2rad(c.phase_std_deg), spread) / self.wavenumber
         place, bearing, weight = self._range[rows], self._bearing[rows], self._weight[rows]
         _go(place, bearing, weight, drawn, normal, step, further, noise, c.step_std_m / np.sqrt(2), c.wrong_steps)
         self._range[rows], self._bearing[rows], self._weight[rows] = place, bearing, weight
-        self._choose(rows)
+        self._choose(rows, drawn[:, 3 * n :])
 
-    def _choose(self, rows: Array) -> None:
-        """Normalise; where few particles carry the weight draw them anew, some of them from scratch."""
+    def _choose(self, rows: Array, drawn: Array) -> None:
+        """Normalise; where few particles carry the weight draw them anew by `drawn` (R, 1 + 2 N), some of them from scratch."""
         c, n = self.config, self.config.particles
         weight = self._weight[rows]
         few = np.flatnonzero(_settled(weight) < c.resample_below * n)
         self._weight[rows] = weight
         if len(few):
-            some = rows[few]
-            drawn = self.rng.uniform(1 + 2 * n, some)
+            some, drawn = rows[few], drawn[few]
             chosen = systematic(weight[few], drawn[:, 0])
             self._range[some], self._bearing[some] = _anew(self._range[some], self._bearing[some], chosen, drawn, c.fresh, c.farthest_m)
             self._weight[some] = 1 / n
