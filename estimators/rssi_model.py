@@ -154,9 +154,12 @@ def _budget(points, antenna, at_1m, origin, boresight, power, floor, slope, near
 
 
 def _levels(config: RssiConfig, site: Site, method: str) -> Array:
-    """(antennas, tags) dBm at 1 m on boresight."""
+    """(antennas, tags) dBm at 1 m on boresight: as configured, else as measured at the antenna, else by the budget."""
+    measured_there = np.isfinite(site.antennas.reference)
     if config.reference_dbm is not None:
         return np.full((len(site.antennas), len(site.tags)), config.reference_dbm)
+    if len(measured_there) and measured_there.all():
+        return np.repeat(site.antennas.reference[:, None], len(site.tags), axis=1)
     if not len(site.frequencies):
         raise ValueError(f"{method}: the site names no carrier frequencies to reckon a level at 1 m from: set reference_dbm")
     wavelength = SPEED_OF_LIGHT / np.mean(site.frequencies)

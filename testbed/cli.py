@@ -12,7 +12,7 @@ from typing import Annotated, Any, TextIO
 import typer
 from rich.console import Console
 
-from testbed import cli_calibrate, cli_coverage, cli_speak, console, plugins
+from testbed import cli_calibrate, cli_coverage, cli_replay, cli_speak, console, plugins
 from testbed.evaluate import plain
 from testbed.scenario import ScenarioError
 
@@ -233,12 +233,19 @@ def rerun(
 
 @app.command()
 def replay(
-    folder: Annotated[Path, typer.Argument(help="Output folder of a run, or the folder of one recording in it.")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="SOURCE", help="Output folder of a run, or one recording in it; with --site, a reader's log.")
+    ],
     estimator: Only = None,
-    out: Annotated[Path | None, typer.Option(help="Write the tracks into this folder.")] = None,
+    site: Annotated[Path | None, typer.Option(help="The site of a log: antennas, tags, how the log is written (YAML).")] = None,
+    truth: Annotated[Path | None, typer.Option(help="True path, for a log; what comes of it is then scored.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the tracks into this folder; of a log, runs/NAME where left out.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the run that is in --out (of a log).")] = False,
     as_json: Json = False,
 ) -> None:
-    """Run estimators on recordings that are kept, without simulating again. Needs no pybullet."""
+    """Run estimators on recordings that are kept, or on a real reader's log, without simulating. Needs no pybullet."""
+    if site is not None:
+        return cli_replay.replay_log(folder, site, truth, list(estimator or ()), out, as_json, force)
     from testbed.replay import replay as again
 
     found = again(folder, estimator or (), out)

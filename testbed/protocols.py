@@ -146,6 +146,19 @@ class Renderer(Protocol):
 
 
 @runtime_checkable
+class PlaysBack(Protocol):
+    """A world that was recorded: its trials are logs of real readers, and nothing in them is simulated."""
+
+    def tagged(self) -> tuple[Tagged, Any]:
+        """The tags that the logs speak of, and what is to be located (`testbed.tagging.Aims`)."""
+        ...
+
+    def played(self, trial: int) -> Trial:
+        """One trial: a log, and the truth beside it."""
+        ...
+
+
+@runtime_checkable
 class Renders(Protocol):
     """A world that can show its scenes."""
 

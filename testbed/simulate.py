@@ -11,7 +11,7 @@ from testbed import frames
 from testbed.columns import Array, Table
 from testbed.known_tags import references
 from testbed.plugins import load
-from testbed.protocols import ActorPlan, PlacesAnew, Sensed, Sensor, Surroundings, World
+from testbed.protocols import ActorPlan, PlacesAnew, PlaysBack, Sensed, Sensor, Surroundings, World
 from testbed.quantity import FileMissing, Misplaced, UnusableFile
 from testbed.radio.materials import MATERIALS, losses
 from testbed.recording import Recording, Trial
@@ -41,8 +41,11 @@ class Simulator:
         self._world: World = load("worlds", scenario.world.kind)(scenario.world.config)
         try:
             self.scene: Scene = self._furnished()
-            self.tagged, on = place_tags(scenario, self.scene)
-            self.aims = choose_targets(scenario, self.scene, self.tagged, on)
+            if isinstance(self._world, PlaysBack):
+                self.tagged, self.aims = self._world.tagged()
+            else:
+                self.tagged, on = place_tags(scenario, self.scene)
+                self.aims = choose_targets(scenario, self.scene, self.tagged, on)
             self.sensors = [self._sensor(section) for section in scenario.sensors]
             self._references = references(scenario, self.tagged)
             self._check_radios()
@@ -123,6 +126,8 @@ class Simulator:
 
     def trial(self, index: int, seed: int | None = None) -> Trial:
         """One trial, a function of (scenario, seed, index) alone. `seed` is the scenario's where left out."""
+        if isinstance(self._world, PlaysBack):
+            return self._world.played(index)
         return self._sensed(self.moved(index, seed))
 
     def moved(self, index: int, seed: int | None = None, duration: float | None = None) -> Surroundings:

@@ -9,14 +9,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.columns import Array
+from testbed.quantity import FileMissing, UnusableFile
 
 LISTED = 10_000  # rows that are listed one by one; all are counted
 ENOUGH = 20  # bad rows below which a log is never refused for their number
 SHOWN = 60  # letters of a cell that a reason repeats
 
 
-class LogError(ValueError):
+class LogError(UnusableFile):
     """A log or a site that can't be used, in one sentence that names the place and the mend."""
+
+
+class LogMissing(LogError, FileMissing):
+    """A log that is not on this machine."""
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ def parse(block: Block, names: Sequence[str], wanted: Sequence[str], delimiter: 
         bad.add(lines[mean], COUNT, [wrong[i + 1] for i in mean])
         lines = np.delete(lines, at)
     columns = {name: pc.utf8_trim_whitespace(_one(table[name])) for name in wanted}
-    return _without_comments(Cells(lines, columns), block, names, comment)
+    return _without_comments(Cells(lines, columns), block, comment)
 
 
 def _one(column: pa.ChunkedArray) -> pa.Array:
@@ -70,12 +70,13 @@ def _one(column: pa.ChunkedArray) -> pa.Array:
     )
 
 
-def _without_comments(cells: Cells, block: Block, names: Sequence[str], comment: str) -> Cells:
-    """Without rows that are comments and happen to have the right number of cells."""
-    if not comment or comment.encode() not in block.text:
+def _without_comments(cells: Cells, block: Block, comment: str) -> Cells:
+    """Without rows that are empty, or comments that happen to have the right number of cells."""
+    empty = b"\n\n" in block.text or block.text.startswith(b"\n")
+    if not empty and (not comment or comment.encode() not in block.text):
         return cells
-    rows = block.text.split(b"\n")
-    keep = np.array([not rows[line - block.line].startswith(comment.encode()) for line in cells.line], dtype=bool)
+    rows, mark = block.text.split(b"\n"), comment.encode() or b"\n"
+    keep = np.array([rows[i].strip() != b"" and not rows[i].startswith(mark) for i in (cells.line - block.line).tolist()], dtype=bool)
     return Cells(cells.line[keep], {name: column.filter(pa.array(keep)) for name, column in cells.columns.items()})
 
 

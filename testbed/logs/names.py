@@ -21,7 +21,7 @@ _NAME = re.compile(r"[0-9A-Za-z][0-9A-Za-z_.:/+ -]{0,127}")
 
 def epc(cell: str) -> str | None:
     """An EPC or a beacon's name in one dress: no b'..' around it, hex in small letters without gaps; None for what is none."""
-    text = cell.strip().strip('"')
+    text = cell.strip()
     wrapped = _BYTES.fullmatch(text)
     text = (wrapped.group(2) if wrapped else text).strip()
     packed = re.sub(r"[\s-]", "", text).removeprefix("0x")
@@ -82,6 +82,8 @@ class PortNames:
             name = port_name(antenna)
             plain[name] = -1 if name in plain else i  # of several readers: the reader must say which
             self._of_reader[(antenna.reader or "").lower(), name] = i
+        for i, antenna in enumerate(site.antennas):  # an id is as good as a port, unless it is another's port
+            plain.setdefault(antenna.id.strip().lower(), i)
         self._place = plain
         self.by_reader = any(i < 0 for i in plain.values())
 

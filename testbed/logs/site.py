@@ -210,6 +210,7 @@ def antennas_of(found: list[SiteAntenna]) -> Antennas:
         front_to_back=np.array([a.front_to_back_db for a in found]),
         power=np.array([a.power_dbm for a in found]),
         reader=np.array([a.reader or "" for a in found], dtype=np.str_),
+        reference=np.array([np.nan if a.reference_dbm is None else a.reference_dbm for a in found]),
     )
 
 

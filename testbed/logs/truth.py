@@ -59,7 +59,9 @@ def _layout(path: Path, how: TruthModel) -> tuple[int, list[str], list[int]]:
     lines = head(path)
     names = [name.strip().lower() for name in split_row(lines[0], ",")] if lines else []
     if not {"t", "x", "y"} <= set(names) or len(set(names)) < len(names):
-        raise LogError(f"{path}: the columns t, x and y (and perhaps z and target) are wanted, once each; the header has {', '.join(names[:12])}")
+        raise LogError(
+            f"{path}: the columns t, x and y (and perhaps z and target) are wanted, once each; the header has {', '.join(names[:12])}"
+        )
     return 1, names, [names.index(name) for name in ("t", "x", "y", "z") if name in names]
 
 

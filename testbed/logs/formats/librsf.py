@@ -1,4 +1,4 @@
-"""Text of libRSF, one measurement a line: `range2 t range σ x y anchor …` (m) and `odom2diff t left 0 right … base` of a differential drive.
+"""Text of libRSF, a measurement a line: `range2 t range σ x y anchor …` (m), and `odom2diff t left right 0 base …` of a differential drive.
 
 The labyrinth of TU Chemnitz. Its readme is wrong: column 3 is the left wheel's speed, column 4 the right one's, and column 6 half the
 wheel base, so that the yaw rate is (right - left) / (2 base); checked against the true headings. Anchors by number are ports of the site.

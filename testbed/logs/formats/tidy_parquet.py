@@ -28,7 +28,9 @@ class TidyParquet:
     def read(self, job: Job) -> Contents:
         try:
             return self._read(job)
-        except (pa.ArrowException, OSError, KeyError) as error:
+        except LogError:
+            raise
+        except (pa.ArrowException, OSError, KeyError, ValueError, OverflowError) as error:
             raise LogError(
                 f"{job.path} can't be read as Parquet: {str(error).splitlines()[0] if str(error) else type(error).__name__}"
             ) from None
