@@ -25,7 +25,7 @@ class GateEventsConfig(BaseConfig):
 
     inward_deg: Degrees = 0.0
     opening_m: Annotated[Metres, Field(gt=0, le=20)] = 2.8
-    window_s: Annotated[Seconds, Field(gt=0, le=3600)] = 6.5
+    window_s: Annotated[Seconds, Field(gt=0, le=3600)] = 4.0
 
 
 class GateEvents:
