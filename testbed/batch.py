@@ -6,92 +6,33 @@ The same scenario gives the same tables, value by value, whatever the number of 
 from __future__ import annotations
 
 import pickle
-from collections.abc import Sequence
-from contextlib import closing
+import shutil
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal
-
-import numpy as np
+from typing import Literal
 
 from testbed import archive, pool, worker
-from testbed.evaluate import KEYS, ClaimResult, Interval, Rows, Summary, check_claims, mean_interval, metric_columns, plain, summarise
+from testbed.cluster import connected
+from testbed.evaluate import Rows
+from testbed.guided.section import guided_actor
 from testbed.keep import DEFAULT, Keep, predict_size
-from testbed.manifest import describe, differences, rebuilt
+from testbed.manifest import describe, differences, keys, packages, rebuilt, short, versions
 from testbed.progress import Progress, Silent
-from testbed.published import compare
-from testbed.published import document as published_document
 from testbed.recording import Trial
-from testbed.scenario import Scenario
+from testbed.result import RunResult, judged
+from testbed.scenario import Scenario, override
 from testbed.store import Store, StoreError, read_manifest
 from testbed.types import Track
+from testbed.until import Until, stopped
 from testbed.worker import Block, BlockResult, Failure, RunBlock, joined, run_block
 
 
 class Interrupted(Exception):
     """Ctrl-C in the middle of a run: what was finished is kept. The message says how to go on."""
-
-
-@dataclass(frozen=True, repr=False)
-class RunResult:
-    """What a run found.
-
-    rows, world, timings : the tables of the output folder, by column (`testbed.evaluate.Rows`)
-    world_means          : by point and stimulus, the mean over trials
-    folder               : where it is written, None where it is not
-    """
-
-    scenario: Scenario
-    rows: Rows
-    world: Rows
-    timings: Rows
-    failures: tuple[Failure, ...]
-    summaries: tuple[Summary, ...]
-    world_means: dict[int, dict[str, Interval]]
-    claims: tuple[ClaimResult, ...]
-    folder: Path | None = None
-
-    def __str__(self) -> str:
-        """What `testbed run` prints."""
-        from testbed.console import text  # rich, only where somebody looks
-
-        return text(self)
-
-    def __repr__(self) -> str:
-        found = {s.estimator: s.statistics.get("position_error_m.mean") for s in self.summaries if s.point == 0}
-        errors = ", ".join(f"{id} {i.mean:.3g} m" for id, i in found.items() if i is not None)
-        held = f"{sum(claim.ok for claim in self.claims)} of {len(self.claims)} claims hold"
-        return f"<RunResult {self.scenario.name}: {self.scenario.trials} trials, {len(self.failures)} failures, {held}; {errors}>"
-
-    @property
-    def ok(self) -> bool:
-        """Every claim holds, and no trial failed."""
-        return not self.failures and all(claim.ok for claim in self.claims)
-
-    def document(self) -> dict[str, Any]:
-        """What `testbed run --json` prints. Failures are listed without their tracebacks, which failures.parquet holds."""
-        points = [
-            {
-                "set": point.set,
-                "estimators": {s.estimator: s.document() for s in self.summaries if s.point == point.index},
-                "world": {name: plain(mean.mean) for name, mean in self.world_means[point.index].items()},
-            }
-            for point in self.scenario.points()
-        ]
-        return {
-            "scenario": self.scenario.name,
-            "hash": self.scenario.hash,
-            "seed": self.scenario.seed,
-            "trials": self.scenario.trials,
-            "points": points,
-            "expect": [claim.document() for claim in self.claims],
-            "published": published_document(compare(self.scenario.published, self.rows, self.world), [point["set"] for point in points]),
-            "failures": [
-                {"point": f.point, "trial": f.trial, "estimator": f.estimator, "stage": f.stage, "error": f.error} for f in self.failures
-            ],
-            "ok": self.ok,
-        }
 
 
 @dataclass(frozen=True)
@@ -119,6 +60,9 @@ def run(
     command: Sequence[str] = (),
     progress: Progress | None = None,
     executors: pool.ExecutorFactory | None = None,
+    cluster: str = "",
+    shared: str = "",
+    until: Until | None = None,
     work: RunBlock = run_block,
 ) -> RunResult:
     """Run all trials of a scenario at every point of its sweep, and judge its claims.
@@ -126,22 +70,30 @@ def run(
     out       : the output folder; without one nothing is written and no recording is kept
     jobs      : processes, "auto" for one a core. executors: another way of making some (given their number) than processes here
     keep      : "none", "all", or some of "failed", "first:N", "worst:N" with commas between them
-    resume    : go on in `out` where an earlier run of the same scenario stopped, with more trials if wanted
+    resume    : go on in `out`: what is there and would come out the same is not made again (`testbed.identity`)
     force     : replace the run in `out`
     command   : the words that started it, for the manifest
+    cluster   : where to find workers instead, and shared, where they leave recordings if they can't see `out` (`testbed.cluster`)
+    until     : run more trials than the scenario's until a figure is known well enough (`testbed.until`)
 
     A trial that fails is in `failures`, the rest go on. Raises ScenarioError and the like for bad input, StoreError where the
-    disk refuses, Interrupted on Ctrl-C, pool.CannotStart.
+    disk refuses, Interrupted on Ctrl-C, pool.CannotStart, until.NotReached.
     """
     count = pool.cores() if jobs == "auto" else jobs
     if count < 1:
         raise ValueError(f"jobs must be at least 1, not {count}")
     rule, progress = Keep.parse(keep), progress or Silent()
-    if out is None:
-        return _Run(scenario, None, rule, count, progress, executors, work).result()
-    with Store(out, describe(scenario, keep, command), resume=resume, force=force) as store:
-        _check_room(store, scenario, rule, progress)
-        return _Run(scenario, store, rule, count, progress, executors, work).result()
+    with ExitStack() as stack:
+        store = None
+        if out is not None:
+            manifest = describe(scenario, keep, command, until.text if until else "")
+            store = stack.enter_context(Store(out, manifest, resume=resume, force=force))
+            _check_room(store, scenario, rule, progress)
+        bring = None
+        if cluster:
+            there = stack.enter_context(connected(cluster, packages(scenario), shared))
+            executors, count, bring = there, there.jobs, there.bring
+        return _Run(scenario, store, rule, count, progress, executors, work, until, bring).result()
 
 
 def blocks_of(trials: int, size: int = 4) -> list[tuple[int, ...]]:
@@ -170,60 +122,120 @@ class _Run:
         progress: Progress,
         executors: pool.ExecutorFactory | None,
         work: RunBlock,
+        until: Until | None = None,
+        bring: Callable[[Block], None] | None = None,
     ) -> None:
         self._scenario, self._store, self._rule = scenario, store, rule
         self._jobs, self._progress, self._executors, self._work = jobs, progress, executors, work
+        self._until, self._bring = until, bring
+        self._trials = until.first(scenario.trials) if until else scenario.trials
+        self._contents = [pickle.dumps(point.scenario) for point in scenario.points()]
         self._parts: dict[tuple[int, tuple[int, ...]], BlockResult] = {}  # what is done: all of it without a store
+        self._keys = keys(scenario) if store else []
 
     def result(self) -> RunResult:
-        blocks = self._blocks()
-        missing = [block for block in blocks if not self._have(block)]
-        total = sum(len(block.trials) for block in blocks)
-        self._done = total - sum(len(block.trials) for block in missing)
-        self._progress.start(self._scenario.name, total, self._done)
         try:
             with pool.one_thread_each():
-                self._make(missing)
-                whole = self._whole(blocks)
-                self._keep_worst(blocks, whole.rows)
+                whole, looks = self._enough()
         except KeyboardInterrupt:
-            raise self._interrupted(total) from None
+            raise self._interrupted() from None
+        if self._store:
+            self._store.log("finished", trials=self._total, failures=len(whole.failures))
+        found = self._scenario if self._trials == self._scenario.trials else override(self._scenario, {"trials": self._trials})
+        end = stopped(self._until, self._trials, looks, *self._tables(whole)) if self._until else None
+        return judged(found, whole, self._store.folder if self._store else None, end)
+
+    def _enough(self) -> tuple[BlockResult, int]:
+        """All trials, and after how many looks at them they were enough: one, unless a figure was to be known well."""
+        looks = 1
+        while True:
+            blocks = self._blocks()
+            whole = self._round(blocks)
+            more = self._until.more(self._trials, *self._tables(whole), self._scenario.block) if self._until else self._trials
+            if more == self._trials:
+                self._keep_worst(blocks, whole.rows)
+                return whole, looks
+            self._progress.note(f"{self._trials} trials are not enough: on to {more}")
+            self._trials, looks = more, looks + 1
+
+    def _tables(self, whole: BlockResult) -> tuple[Rows, Rows, list[int]]:
+        return whole.rows, whole.world, [point.index for point in self._scenario.points()]
+
+    def _round(self, blocks: list[Block]) -> BlockResult:
+        """Make what is missing of some blocks, and put all of them together."""
+        if self._store:
+            self._store.of_trials(self._trials)
+        missing = [one for block in blocks if (one := self._missing(block)) is not None]
+        self._total = sum(len(block.trials) for block in blocks)
+        self._done = self._total - sum(len(block.trials) for block in missing)
+        self._progress.start(self._scenario.name, self._total, self._done, self._points(missing))
+        try:
+            self._make(missing)
         finally:
             self._progress.finish()
-        if self._store:
-            self._store.log("finished", trials=total, failures=len(whole.failures))
-        return _judged(self._scenario, whole, self._store.folder if self._store else None)
+        return self._whole(blocks)
 
     def _blocks(self) -> list[Block]:
         """All blocks, point by point."""
-        first = set(self._rule.chosen(self._scenario.trials))
+        first = set(self._rule.chosen(self._trials))
         folder = self._store.folder.resolve() if self._store else None
+        maker = short(versions(self._scenario))
         found = []
-        for point in self._scenario.points():
-            content = pickle.dumps(point.scenario)
-            for trials in blocks_of(self._scenario.trials, self._scenario.block):
+        for point, content in enumerate(self._contents):
+            for trials in blocks_of(self._trials, self._scenario.block):
                 keep = tuple(sorted(first & set(trials)))
-                found.append(Block(content, point.index, trials, folder, keep, self._rule.failed))
+                found.append(Block(content, point, trials, folder, keep, self._rule.failed, versions=maker))
         return found
 
-    def _have(self, block: Block) -> bool:
-        """Whether a block is done already, the recordings asked for included (of trials that could be simulated)."""
-        result = self._store.get(block.point, block.trials) if self._store else None
-        if self._store is None or result is None:
-            return False
-        gone = {f.trial for f in result.failures if f.stage in ("simulate", "worker")}
-        return all(archive.place(self._store.folder, block.point, trial).is_dir() for trial in block.keep if trial not in gone)
+    def _points(self, missing: Sequence[Block]) -> list[tuple[str, int, int]]:
+        """What progress is told of the sweep."""
+        todo = Counter(block.point for block in missing for _ in block.trials)
+        size = self._trials
+        return [(", ".join(f"{k} = {v}" for k, v in p.set.items()), size, size - todo[p.index]) for p in self._scenario.points()]
+
+    def _missing(self, block: Block) -> Block | None:
+        """What is still to be done of a block: all of it, or some estimators only, or nothing.
+
+        Recordings belong to the whole of what was run: where there are some, or should be, nothing is done by halves.
+        """
+        if self._store is None:
+            return None if (block.point, block.trials) in self._parts else block
+        found = self._store.find(block.point, block.trials, self._keys[block.point])
+        places = [archive.place(self._store.folder, block.point, trial) for trial in block.trials]
+        there = [place for place in places if place.is_dir()]
+        if found.result is not None and not found.lacking:
+            gone = {f.trial for f in found.result.failures if f.stage in ("simulate", "worker")}
+            wanted = [t for t in block.keep if t not in gone]
+            died = any(f.stage == "worker" for f in found.result.failures)  # for lack of memory, perhaps: worth another try
+            if not died and all(archive.place(self._store.folder, block.point, t).is_dir() for t in wanted):
+                return None
+        for place in there:  # of another state of the code, or not of all estimators
+            shutil.rmtree(place)
+        if found.result is None or not found.lacking or block.keep or there or guided_actor(self._scenario) is not None:
+            return block
+        return replace(block, only=found.lacking)
 
     def _make(self, blocks: Sequence[Block]) -> None:
-        with closing(pool.results(blocks, self._work, self._jobs, self._executors)) as found:
-            for block, result in found:
+        with closing(pool.results(blocks, self._work, self._jobs, self._executors)) as made:
+            for group in made:
+                self._brought(group)
                 if self._store:
-                    self._store.put(result)
-                    self._log(result, self._store)
-                else:
-                    self._parts[block.point, block.trials] = result
-                self._done += len(block.trials)
-                self._progress.advance(len(block.trials), len(result.failures))
+                    first = group[0][0]
+                    ran = [s.id for s in self._scenario.estimators] if first.only is None else first.only
+                    self._store.put([result for _, result in group], self._keys[first.point], ran)
+                for block, result in group:
+                    if self._store:
+                        self._log(result, self._store)
+                    else:
+                        self._parts[block.point, block.trials] = result
+                    self._done += len(block.trials)
+                    self._progress.advance(len(block.trials), len(result.failures), block.point)
+
+    def _brought(self, group: pool.Made) -> None:
+        """Bring recordings home that were written elsewhere; before their block counts as done."""
+        if self._bring:
+            for block, _ in group:
+                self._bring(block)
 
     def _log(self, result: BlockResult, store: Store) -> None:
         for note in result.notes:
@@ -234,8 +246,8 @@ class _Run:
 
     def _whole(self, blocks: Sequence[Block]) -> BlockResult:
         if self._store:
-            return self._store.merge((block.point, block.trials) for block in blocks)
-        return joined([self._parts[key] for key in sorted(self._parts)])
+            return self._store.merge(((block.point, block.trials) for block in blocks), self._keys)
+        return joined([self._parts[key] for key in sorted((block.point, block.trials) for block in blocks)])
 
     def _keep_worst(self, blocks: Sequence[Block], rows: Rows) -> None:
         """Make the worst trials again to keep their recordings: which they are is known only now, and they come out the same."""
@@ -248,27 +260,14 @@ class _Run:
             if new:
                 again.append(replace(block, keep=tuple(sorted(new)), keep_failed=False))
         with closing(pool.results(again, self._work, self._jobs, self._executors)) as found:
-            for _ in found:
-                pass
+            for group in found:
+                self._brought(group)
 
-    def _interrupted(self, total: int) -> Interrupted:
+    def _interrupted(self) -> Interrupted:
         if self._store is None:
             return Interrupted("interrupted; without an output folder nothing is kept")
         self._store.log("interrupted", trials=self._done)
-        return Interrupted(f"interrupted: {self._done} of {total} trials are kept in {self._store.folder}; continue with --resume")
-
-
-def _judged(scenario: Scenario, whole: BlockResult, folder: Path | None) -> RunResult:
-    points = [point.index for point in scenario.points()]
-    nothing = {name: np.empty(0, dtype=np.int64 if name in ("point", "trial", "seed") else np.str_) for name in KEYS}
-    rows, world = whole.rows or nothing, whole.world or nothing
-    means = {
-        point: {name: mean_interval(world[name][world["point"] == point].astype(np.float64)) for name in metric_columns(world)}
-        for point in points
-    }
-    summaries = tuple(summarise(rows))
-    claims = tuple(check_claims(scenario.expect, rows, world, points))
-    return RunResult(scenario, rows, world, whole.timings, whole.failures, summaries, means, claims, folder)
+        return Interrupted(f"interrupted: {self._done} of {self._total} trials are kept in {self._store.folder}; continue with --resume")
 
 
 # ---------------------------------------------------------------- one trial again
@@ -291,7 +290,8 @@ def rerun(folder: Path, point: int, trial: int, *, into: Path | None = None, wor
     with TemporaryDirectory() as rough, pool.one_thread_each():
         home = Path(into or rough)
         try:
-            result = work(Block(pickle.dumps(points[point].scenario), point, block, home, (trial,)))
+            content = pickle.dumps(points[point].scenario)
+            result = work(Block(content, point, block, home, (trial,), versions=short(versions(scenario))))
         finally:
             worker.close()
         place = archive.place(home, point, trial)

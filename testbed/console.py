@@ -76,6 +76,8 @@ def run(console: Console, result: RunResult) -> None:
         world(console, result.world_means[point.index], point.set)
     failures(console, result.failures)
     claims(console, result.claims, str(scenario.path or scenario.name))
+    if result.until is not None:
+        console.print(str(result.until), soft_wrap=True)
     if result.folder is not None:
         console.print(f"written to {result.folder}", soft_wrap=True)
 

@@ -20,7 +20,7 @@ from testbed.types import Track
 
 Rows = Mapping[str, Array]
 
-KEYS = ("point", "trial", "estimator", "target", "seed", "kind", "config", "scenario")  # all other columns are metrics
+KEYS = ("point", "trial", "estimator", "target", "seed", "kind", "config", "scenario", "versions")  # all other columns are metrics
 CONFIDENCE = 0.95
 
 

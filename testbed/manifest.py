@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import json
 import platform
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from testbed.identity import Keys, keys_of
 from testbed.plugins import GROUPS, origin
 from testbed.scenario import Scenario, from_dict
 from testbed.scenario.scenario import OUTSIDE_HASH
 from testbed.worker import config_hash
 
-FORMAT = 1
+FORMAT = 2
 DISTRIBUTION = "warehouse-radio-testbed"
 LIBRARIES = ("numpy", "scipy", "filterpy", "numba", "pybullet", "pyarrow")  # those that figures depend on
 
 
-def describe(scenario: Scenario, keep: str, command: Sequence[str] = ()) -> dict[str, Any]:
+def describe(scenario: Scenario, keep: str, command: Sequence[str] = (), until: str = "") -> dict[str, Any]:
     """The manifest of a run of `scenario`, for manifest.json."""
+    now = versions(scenario)
     return {
         "format": FORMAT,
         "scenario": {
@@ -39,8 +42,10 @@ def describe(scenario: Scenario, keep: str, command: Sequence[str] = ()) -> dict
         "points": [{"index": p.index, "set": p.set, "hash": p.scenario.hash} for p in scenario.points()],
         "estimators": [{"id": s.id, "kind": s.kind, "config": config_hash(s)} for s in scenario.estimators],
         "keep": keep,
+        "until": until,
         "command": list(command),
-        "versions": versions(scenario),
+        "versions": now,
+        "written_by": {short(now): now},
         "platform": {"system": platform.platform(), "machine": platform.machine()},
     }
 
@@ -53,9 +58,25 @@ def rebuilt(manifest: dict[str, Any]) -> Scenario:
 
 def versions(scenario: Scenario) -> dict[str, str]:
     """Of Python, of the libraries that figures depend on, of the testbed, and a digest of its code and of the plug-ins used."""
+    return made_with(packages(scenario))
+
+
+def made_with(packages: frozenset[str]) -> dict[str, str]:
+    """The versions that figures from the code of some packages depend on, in this process."""
     found = {"python": platform.python_version(), "testbed": _version(DISTRIBUTION)}
     found |= {name: _version(name) for name in LIBRARIES}
-    return {**found, "code": _digest(_packages(scenario))}
+    return {**found, "code": _digest(packages)}
+
+
+def short(versions: Mapping[str, str]) -> str:
+    """A digest of versions, as it stands in every row; the manifest's `written_by` says which they are."""
+    return hashlib.sha256(json.dumps(dict(versions), sort_keys=True).encode()).hexdigest()[:12]
+
+
+def keys(scenario: Scenario) -> list[Keys]:
+    """By point of the sweep: the keys of its results, under the versions of this process."""
+    libraries = {"python": platform.python_version(), **{name: _version(name) for name in LIBRARIES}}
+    return [keys_of(point.scenario, libraries) for point in scenario.points()]
 
 
 @cache
@@ -66,7 +87,7 @@ def _version(name: str) -> str:
         return "absent"
 
 
-def _packages(scenario: Scenario) -> frozenset[str]:
+def packages(scenario: Scenario) -> frozenset[str]:
     """The packages whose code a scenario's figures come from: those of its plug-ins, and the testbed itself."""
     found = {"testbed"}
     for group in GROUPS:
@@ -95,10 +116,23 @@ def _sources(packages: Iterable[str]) -> Iterable[Path]:
             yield Path(spec.origin)
 
 
-def differences(old: dict[str, Any], new: dict[str, Any]) -> str:
-    """In one sentence what keeps `new` from continuing `old`; "" where nothing does. More trials than before are welcome."""
+def refused(old: dict[str, Any], new: dict[str, Any]) -> str:
+    """In one sentence why a folder with the manifest `old` is not gone on with as `new`; "" where nothing speaks against it.
+
+    Another study has another seed or name. Whatever else differs is made again, and what doesn't, is not.
+    """
     if old["format"] != new["format"]:
         return f"it was written by another version of the testbed (format {old['format']}, this one writes {new['format']})"
+    found = []
+    if old["scenario"]["name"] != new["scenario"]["name"]:
+        found.append(f"it is of the scenario {old['scenario']['name']}, not of {new['scenario']['name']}")
+    if old["seed"] != new["seed"]:
+        found.append(f"the seed was {old['seed']} and is {new['seed']}")
+    return "; ".join(found)
+
+
+def differences(old: dict[str, Any], new: dict[str, Any]) -> str:
+    """In one sentence in what `new` differs from `old`, so that figures may; "" where it doesn't. More trials than before are none."""
     found = []
     if old["scenario"]["hash"] != new["scenario"]["hash"]:
         before, after = old["scenario"]["document"], new["scenario"]["document"]
@@ -106,8 +140,6 @@ def differences(old: dict[str, Any], new: dict[str, Any]) -> str:
         found.append(f"the scenario differs{' in ' + ', '.join(parts) if parts else ' in the defaults of a plug-in'}")
     if old["seed"] != new["seed"]:
         found.append(f"the seed was {old['seed']} and is {new['seed']}")
-    if old["trials"] > new["trials"]:
-        found.append(f"it has {old['trials']} trials, more than the {new['trials']} asked for")
     if old["block"] != new["block"]:
         found.append(f"its blocks are of {old['block']} trials, not {new['block']}")
     for name in {**old["versions"], **new["versions"]}:

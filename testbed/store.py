@@ -1,7 +1,7 @@
-"""The output folder of a run: written so that a kill at any moment loses at most the blocks under way, and read back.
+"""The output folder of a run: written so that a kill at any moment loses at most the tasks under way, and read back.
 
     manifest.json      what was run (testbed/manifest.py), written first
-    parts/             one file a block, written whole or not at all: what a resumed run builds on
+    parts/             one file a task, written whole or not at all (testbed/parts.py): what a resumed run builds on
     trials.parquet     a row per point, trial, estimator, target
     world.parquet      a row per point and trial: what the world offered
     timings.parquet    wall times, the one table that differs from run to run
@@ -15,25 +15,24 @@ The four tables are put together from the parts, in order of point and trial, so
 from __future__ import annotations
 
 import errno
-import io
 import json
 import os
 import shutil
-import zipfile
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, fields
+from dataclasses import fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any
 
 import numpy as np
-import pyarrow as pa
 
 from testbed import tables
 from testbed.archive import StoreError, load_recording, load_scene, load_tracks, load_trial
 from testbed.columns import Array
 from testbed.evaluate import Rows
-from testbed.manifest import differences
+from testbed.identity import Keys
+from testbed.manifest import refused
+from testbed.parts import Found, Parts, parquet
 from testbed.worker import BlockResult, Failure, joined
 
 __all__ = ["Store", "StoreError", "load_recording", "load_scene", "load_tracks", "load_trial", "read_manifest", "read_rows"]
@@ -41,7 +40,6 @@ __all__ = ["Store", "StoreError", "load_recording", "load_scene", "load_tracks",
 MANIFEST, LOG, PARTS, RECORDINGS = "manifest.json", "log.jsonl", "parts", "recordings"
 TABLES = ("trials", "world", "timings", "failures")
 _OWN = (MANIFEST, LOG, PARTS, RECORDINGS, "report.html", *(f"{name}.parquet" for name in TABLES))
-_UNITS = {"seconds": "s", "seconds_per_update": "s"}
 
 
 class Store:
@@ -65,6 +63,7 @@ class Store:
                 raise StoreError(f"{self.folder} is not empty and holds no run: choose another folder for the results")
             if old is not None and resume:
                 self._check_same(old)
+                manifest["written_by"] = {**old.get("written_by", {}), **manifest.get("written_by", {})}
             self.folder.mkdir(parents=True, exist_ok=True)
             self._log = self._locked()
             if force and not resume:
@@ -72,13 +71,28 @@ class Store:
                 self._log = self._locked()
             (self.folder / PARTS).mkdir(exist_ok=True)
             _sweep_rough(self.folder)
+            self._parts = Parts(
+                self.folder / PARTS, lambda name, error: self.log("damaged part", part=name, error=error, then="runs again")
+            )
+            if old is not None and resume:
+                _realign(self.folder / RECORDINGS, old.get("points", []), manifest["points"])
             for name in TABLES:  # of fewer trials, perhaps: they are put together again at the end
                 (self.folder / f"{name}.parquet").unlink(missing_ok=True)
-            _write(self.folder / MANIFEST, (json.dumps(manifest, indent=1, allow_nan=False) + "\n").encode())
+            self._describe()
+
+    def _describe(self) -> None:
+        _write(self.folder / MANIFEST, (json.dumps(self.manifest, indent=1, allow_nan=False) + "\n").encode())
+
+    def of_trials(self, trials: int) -> None:
+        """Say in the manifest how many trials the run has, where that is found on the way."""
+        if self.manifest["trials"] != trials:
+            self.manifest["trials"] = trials
+            with self._disk("write to"):
+                self._describe()
 
     def _check_same(self, old: dict[str, Any]) -> None:
         try:
-            why = differences(old, self.manifest)
+            why = refused(old, self.manifest)
         except (KeyError, TypeError, AttributeError):
             why = f"its {MANIFEST} is damaged"
         if why:
@@ -123,50 +137,34 @@ class Store:
 
     # ------------------------------------------------------------ parts
 
-    def put(self, result: BlockResult) -> None:
-        """Keep the result of a block."""
+    def put(self, results: Sequence[BlockResult], keys: Keys, ran: Sequence[str]) -> None:
+        """Keep blocks of one point that were made together, of the estimators `ran`."""
         with self._disk("write to"):
-            _write(self._part(result.point, result.trials), _packed(result))
+            self._parts.put(results, keys, ran, _write)
 
-    def get(self, point: int, trials: Sequence[int]) -> BlockResult | None:
-        """The result of a block as it was kept; None where there is none, or none whole, or one of other trials."""
-        path = self._part(point, trials)
-        try:
-            with self._disk("read"):
-                result = _unpacked(path.read_bytes())
-        except StoreError as error:
-            if isinstance(error.__cause__, FileNotFoundError):
-                return None
-            raise
-        except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, pa.ArrowException) as error:
-            self.log("damaged part", part=path.name, error=str(error), then="its trials run again")
-            return None
-        if result.point != point or result.trials != tuple(trials):
-            self.log("part of other trials", part=path.name, trials=result.trials, then="the whole block runs again")
-            return None
-        return result
-
-    def _part(self, point: int, trials: Sequence[int]) -> Path:
-        return self.folder / PARTS / f"point-{point:04d}-trial-{trials[0]:07d}.zip"
+    def find(self, point: int, trials: Sequence[int], keys: Keys) -> Found:
+        """What there is of a block under its present keys; a damaged file is told in the log, and as good as absent."""
+        with self._disk("read"):
+            return self._parts.find(point, trials, keys)
 
     # ------------------------------------------------------------ tables
 
-    def merge(self, blocks: Iterable[tuple[int, Sequence[int]]]) -> BlockResult:
-        """Put the tables together from the parts of all `blocks` (point, trials), and return what they hold.
+    def merge(self, blocks: Iterable[tuple[int, Sequence[int]]], keys: Sequence[Keys]) -> BlockResult:
+        """Put the tables together from the parts of all `blocks` (point, trials), and return what they hold. keys : by point.
 
         StoreError where a part is missing.
         """
         found = []
         for point, trials in sorted(blocks):
-            part = self.get(point, trials)
-            if part is None:
+            part = self.find(point, trials, keys[point])
+            if part.result is None or part.lacking:
                 which = f"point {point}, trials {trials[0]} to {trials[-1]}"
                 raise StoreError(f"the results of {which} are missing in {self.folder / PARTS}: --resume makes them")
-            found.append(part)
+            found.append(part.result)
         whole = joined(found)
         with self._disk("write to"):
             for name, rows in zip(TABLES, (whole.rows, whole.world, whole.timings, _failure_rows(whole.failures)), strict=True):
-                _write(self.folder / f"{name}.parquet", _parquet(rows))
+                _write(self.folder / f"{name}.parquet", parquet(rows))
         return whole
 
     def free_bytes(self) -> int:
@@ -274,36 +272,21 @@ def _write(path: Path, content: bytes) -> None:
             os.close(handle)
 
 
-# ---------------------------------------------------------------- a part
-
-
-def _packed(result: BlockResult) -> bytes:
-    """A part: a zip archive, whose checksums tell a damaged one, of the block's tables and what it is."""
-    out = io.BytesIO()
-    plain = {"point": result.point, "trials": result.trials, "failures": [asdict(f) for f in result.failures], "notes": result.notes}
-    with zipfile.ZipFile(out, "w") as archive:
-        archive.writestr("block.json", json.dumps(plain))
-        for name, rows in (("rows", result.rows), ("world", result.world), ("timings", result.timings)):
-            archive.writestr(f"{name}.parquet", _parquet(rows))
-    return out.getvalue()
-
-
-def _unpacked(content: bytes) -> BlockResult:
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        plain = json.loads(archive.read("block.json"))
-        found = {name: tables.unframe(tables.read_table(_reader(archive.read(f"{name}.parquet")))) for name in ("rows", "world", "timings")}
-    failures = tuple(Failure(**f) for f in plain["failures"])
-    return BlockResult(plain["point"], tuple(plain["trials"]), **found, failures=failures, notes=tuple(plain["notes"]))
-
-
-def _reader(content: bytes) -> pa.NativeFile:
-    return cast(pa.NativeFile, pa.BufferReader(content))
-
-
-def _parquet(rows: Rows) -> bytes:
-    out = pa.BufferOutputStream()
-    tables.write_table(tables.frame(rows, units={name: _UNITS.get(name, "") for name in rows}), out)
-    return out.getvalue().to_pybytes()
+def _realign(recordings: Path, old: Sequence[dict[str, Any]], new: Sequence[dict[str, Any]]) -> None:
+    """Let recordings follow their points where a sweep has grown or shrunk, by what each point sets; those of points that went, go."""
+    places = {json.dumps(point["set"], sort_keys=True): point["index"] for point in new}
+    moves = {point["index"]: places.get(json.dumps(point["set"], sort_keys=True)) for point in old}
+    if all(a == b for a, b in moves.items()):
+        return
+    aside = {a: recordings / f".point-{a:04d}.moved.part" for a in moves}
+    for a, path in aside.items():
+        if (recordings / f"point-{a:04d}").is_dir():
+            (recordings / f"point-{a:04d}").rename(path)
+    for a, b in moves.items():
+        if b is None:
+            shutil.rmtree(aside[a], ignore_errors=True)
+        elif aside[a].is_dir():
+            aside[a].rename(recordings / f"point-{b:04d}")
 
 
 def _failure_rows(failures: Sequence[Failure]) -> Rows:

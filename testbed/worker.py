@@ -42,6 +42,8 @@ class Block:
 
     scenario : the point's, pickled once for all of its blocks
     keep     : trials whose recording is saved under `folder`; with keep_failed also those in which an estimator fails
+    only     : ids of the estimators to run, None for all; where a guide leads, all are
+    versions : of what makes the rows, as it stands in them
     """
 
     scenario: bytes
@@ -50,6 +52,8 @@ class Block:
     folder: Path | None = None
     keep: tuple[int, ...] = ()
     keep_failed: bool = False
+    only: tuple[str, ...] | None = None
+    versions: str = ""
 
     def alone(self, trial: int) -> Block:
         """The same work for one trial of it."""
@@ -143,14 +147,15 @@ def run_block(block: Block) -> BlockResult:
     if guided_actor(scenario) is not None:
         return run_guided(block, scenario, work)
     trials = [trial for number in block.trials if (trial := work.simulated(scenario, number)) is not None]
-    tracks = {section.id: work.estimated(scenario, section, trials) for section in scenario.estimators}
+    sections = [s for s in scenario.estimators if block.only is None or s.id in block.only]
+    tracks = {section.id: work.estimated(scenario, section, trials) for section in sections}
     metrics: dict[str, Metric] = {s.id: load("metrics", s.kind)(s.config) for s in scenario.metrics}
     rows, worlds = [], []
     for trial in trials:
         number, seed = trial.recording.trial, scenario.seed
         world = {"point": block.point, "trial": number, "seed": seed, **trial.stimulus}
         worlds.append({name: np.array([value]) for name, value in world.items()})
-        for section in scenario.estimators:
+        for section in sections:
             if number in tracks[section.id]:
                 rows.append(work.scored(scenario, section, tracks[section.id][number], trial, metrics))
         failed = any(f.trial == number for f in work.failures)
@@ -189,7 +194,7 @@ class Work:
     """One block on its way: its failures, wall times and remarks so far."""
 
     def __init__(self, block: Block) -> None:
-        self._point = block.point
+        self._point, self._versions = block.point, block.versions
         self._particles = PARTICLES if block.keep else 0
         self.failures: list[Failure] = []
         self.timings: list[Rows] = []
@@ -285,6 +290,7 @@ class Work:
             "kind": section.kind,
             "config": config_hash(section)[:HASH_SHOWN],
             "scenario": scenario.hash[:HASH_SHOWN],
+            "versions": self._versions,
         }
         return {**{name: np.broadcast_to(value, len(track.target)) for name, value in keys.items()}, **columns}
 

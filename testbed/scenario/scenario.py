@@ -77,7 +77,7 @@ class Scenario:
         The same for the same values, however the file is ordered, commented or written (YAML, a mapping, "30 cm" for 0.3).
         """
         content = {
-            name: _canonical(value)
+            name: canonical(value)
             for name, value in ((n, getattr(self, n)) for n in self.__dataclass_fields__ if self.__dataclass_fields__[n].compare)
             if name not in OUTSIDE_HASH
         }
@@ -97,18 +97,18 @@ class Point:
     scenario: Scenario
 
 
-def _canonical(value: Any) -> Any:
+def canonical(value: Any) -> Any:
     """A value as JSON that does not depend on the order of keys or sets, nor on where it stands in the file."""
     if isinstance(value, BaseModel):
-        return {name: _canonical(getattr(value, name)) for name in type(value).model_fields}
+        return {name: canonical(getattr(value, name)) for name in type(value).model_fields}
     if isinstance(value, (Section, ActorSection)):
-        return {name: _canonical(getattr(value, name)) for name in value.__dataclass_fields__ if name != "loc"}
+        return {name: canonical(getattr(value, name)) for name in value.__dataclass_fields__ if name != "loc"}
     if isinstance(value, Mapping):
-        return {str(name): _canonical(item) for name, item in value.items()}
+        return {str(name): canonical(item) for name, item in value.items()}
     if isinstance(value, Set):
-        return sorted((_canonical(item) for item in value), key=lambda item: json.dumps(item, sort_keys=True))
+        return sorted((canonical(item) for item in value), key=lambda item: json.dumps(item, sort_keys=True))
     if isinstance(value, (list, tuple)):
-        return [_canonical(item) for item in value]
+        return [canonical(item) for item in value]
     if isinstance(value, enum.Enum):
-        return _canonical(value.value)
+        return canonical(value.value)
     return value if value is None or isinstance(value, (bool, int, float, str)) else to_jsonable_python(value)

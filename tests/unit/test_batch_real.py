@@ -23,6 +23,11 @@ def same(a, b):
         np.testing.assert_array_equal(a[name], b[name])
 
 
+def figures(rows):
+    """All but which code made them: somebody may be editing it between two processes."""
+    return {name: column for name, column in rows.items() if name != "versions"}
+
+
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
     folder = tmp_path_factory.mktemp("real") / "one"
@@ -86,4 +91,4 @@ def test_killed_and_resumed_by_the_command_equals_a_run_that_nothing_disturbed(s
     finished = subprocess.run([*command, "--resume"], capture_output=True, text=True, timeout=120, check=False)
     assert finished.returncode in (0, 1), finished.stderr
     assert f"{min(4 * kept, 6)} of them there already" in finished.stderr
-    same(read_rows(out), study.rows)
+    same(figures(read_rows(out)), figures(study.rows))

@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 from batch_fakes import scenario, work
 
-from testbed import store
+from testbed import pool, store
 from testbed.batch import run
-from testbed.manifest import describe, differences, rebuilt
+from testbed.identity import Keys
+from testbed.manifest import describe, differences, rebuilt, refused, short
 from testbed.store import Store, StoreError, read_manifest, read_rows
 from testbed.worker import BlockResult, Failure
 
 MANIFEST = describe(scenario(), "none", ["testbed", "run"])
+KEYS = Keys("w0", {"ekf": "e0"})
+OTHER = Keys("w1", {"ekf": "e1"})
 
 
 def result(trials=(0, 1, 2, 3), point=0):
@@ -28,7 +31,7 @@ def snapshot(folder):
     return {path.relative_to(folder): path.read_bytes() for path in Path(folder).rglob("*") if path.is_file()}
 
 
-def refused(code):
+def refusing(code):
     def act(*args, **options):
         raise OSError(code, "said the system")
 
@@ -57,9 +60,10 @@ def test_a_scenario_comes_back_from_its_manifest():
 
 def test_a_block_comes_back_as_it_was_put(tmp_path):
     with Store(tmp_path / "a", MANIFEST) as open_store:
-        open_store.put(result())
-        found = open_store.get(0, (0, 1, 2, 3))
-        assert open_store.get(0, (4, 5)) is None
+        open_store.put([result()], KEYS, ["ekf"])
+        found = open_store.find(0, (0, 1, 2, 3), KEYS).result
+        assert open_store.find(0, (4, 5), KEYS).result is None
+        assert open_store.find(0, (0, 1, 2, 3), OTHER).result is None
     assert found is not None
     assert (found.trials, found.failures, found.notes) == (result().trials, result().failures, result().notes)
     for name, column in result().rows.items():
@@ -70,8 +74,8 @@ def test_tables_are_in_order_of_point_and_trial_whatever_the_order_of_blocks(tmp
     blocks = [(1, (0, 1)), (0, (4, 5)), (0, (0, 1, 2, 3))]
     with Store(tmp_path / "a", MANIFEST) as open_store:
         for point, trials in blocks:
-            open_store.put(result(trials, point))
-        open_store.merge(blocks)
+            open_store.put([result(trials, point)], [KEYS, OTHER][point], ["ekf"])
+        open_store.merge(blocks, [KEYS, OTHER])
     rows = read_rows(tmp_path / "a")
     assert list(zip(rows["point"].tolist(), rows["trial"].tolist(), strict=True)) == [(0, t) for t in range(6)] + [(1, 0), (1, 1)]
     assert read_rows(tmp_path / "a", "failures")["error"].tolist() == ["ValueError: ä\nb"] * 3
@@ -79,9 +83,9 @@ def test_tables_are_in_order_of_point_and_trial_whatever_the_order_of_blocks(tmp
 
 def test_tables_are_not_put_together_with_a_part_missing(tmp_path):
     with Store(tmp_path / "a", MANIFEST) as open_store:
-        open_store.put(result())
+        open_store.put([result()], KEYS, ["ekf"])
         with pytest.raises(StoreError, match="the results of point 0, trials 4 to 5 are missing"):
-            open_store.merge([(0, (0, 1, 2, 3)), (0, (4, 5))])
+            open_store.merge([(0, (0, 1, 2, 3)), (0, (4, 5))], [KEYS])
     assert not (tmp_path / "a" / "trials.parquet").exists()
 
 
@@ -137,7 +141,7 @@ def test_a_file_in_the_way_is_named(tmp_path):
 
 @pytest.mark.parametrize("code", [errno.EACCES, errno.EROFS])
 def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path, monkeypatch, code):
-    monkeypatch.setattr(Path, "mkdir", refused(code))
+    monkeypatch.setattr(Path, "mkdir", refusing(code))
     with pytest.raises(
         StoreError, match=r"can't start a run in .*: it can't be written \(said the system\): choose another folder with --out"
     ):
@@ -154,6 +158,7 @@ def test_a_full_disk_in_the_middle_keeps_what_was_finished(tmp_path, monkeypatch
         puts.extend([path] if path.parent.name == "parts" else [])
         written(path, content)
 
+    monkeypatch.setattr(pool, "MOST_BLOCKS", 1)
     with monkeypatch.context() as patch:
         patch.setattr(store, "_write", filling)
         with pytest.raises(StoreError, match="the disk is full; what was finished is kept: free some space, then continue with --resume"):
@@ -166,7 +171,7 @@ def test_a_full_disk_in_the_middle_keeps_what_was_finished(tmp_path, monkeypatch
 def test_a_write_that_fails_half_way_leaves_the_old_file_and_no_other(tmp_path, monkeypatch):
     path = tmp_path / "x"
     store._write(path, b"old")
-    monkeypatch.setattr(store.os, "fsync", refused(errno.EIO))
+    monkeypatch.setattr(store.os, "fsync", refusing(errno.EIO))
     with pytest.raises(OSError, match="said the system"):
         store._write(path, b"new")
     assert snapshot(tmp_path) == {Path("x"): b"old"}
@@ -199,8 +204,11 @@ def test_a_damaged_table_is_named(tmp_path):
 def test_a_manifest_continues_itself_and_one_of_fewer_trials():
     assert differences(MANIFEST, MANIFEST) == ""
     assert differences(describe(scenario(trials=4), "all", ["other", "words"]), MANIFEST) == ""
+    assert refused(describe(scenario(duration_s=4, estimators=("ukf",)), "all"), MANIFEST) == ""
+    assert set(MANIFEST["written_by"]) == {short(MANIFEST["versions"])}
 
 
 def test_everything_that_differs_is_in_the_sentence():
     other = describe(scenario(seed=1, duration_s=3, estimators=("ukf",)), "none")
     assert differences(MANIFEST, other) == "the scenario differs in duration_s, estimators; the seed was 3 and is 1"
+    assert refused(MANIFEST, other) == "the seed was 3 and is 1"

@@ -59,12 +59,14 @@ def work(block: Block) -> BlockResult:
         if block.folder is not None and trial in block.keep:
             archive.place(block.folder, block.point, trial).mkdir(parents=True, exist_ok=True)
         world.append({"point": np.array([block.point]), "trial": np.array([trial]), "line_of_sight": np.array([0.5])})
-        rows += [figures(one.seed, block.point, trial, section.id) for section in one.estimators]
+        ids = [section.id for section in one.estimators if block.only is None or section.id in block.only]
+        rows += [figures(one.seed, int(one.duration_s) - 1, trial, id) | {"point": np.full(len(TARGETS), block.point)} for id in ids]
         timings.append({"point": np.array([block.point]), "trial": np.array([trial]), "seconds": np.array([time.perf_counter()])})
     return BlockResult(block.point, block.trials, stack(rows), stack(world), stack(timings), tuple(failures))
 
 
 def figures(seed, point, trial, estimator):
+    """A trial's figures are those of its scenario, wherever in a sweep it stands: `point` is the duration in whole seconds less one."""
     draws = Counter(seed, trial, f"{estimator}.{point}")
     n = len(TARGETS)
     keys = {"point": np.full(n, point), "trial": np.full(n, trial), "estimator": np.full(n, estimator), "target": np.array(TARGETS)}
