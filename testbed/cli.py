@@ -12,7 +12,7 @@ from typing import Annotated, Any, TextIO
 import typer
 from rich.console import Console
 
-from testbed import cli_calibrate, cli_coverage, cli_replay, cli_speak, console, plugins
+from testbed import cli_calibrate, cli_coverage, cli_export, cli_replay, cli_speak, console, plugins
 from testbed.evaluate import plain
 from testbed.scenario import ScenarioError
 
@@ -287,6 +287,7 @@ def explain(
 
 
 app.command("coverage")(cli_coverage.coverage)
+app.command("export")(cli_export.export)
 app.command("calibrate")(cli_calibrate.calibrate)
 
 
