@@ -12,7 +12,7 @@ from typing import Annotated, Any, TextIO
 import typer
 from rich.console import Console
 
-from testbed import cli_calibrate, cli_coverage, cli_export, cli_replay, cli_speak, console, plugins
+from testbed import cli_calibrate, cli_compare, cli_coverage, cli_export, cli_replay, cli_speak, console, plugins
 from testbed.evaluate import plain
 from testbed.scenario import ScenarioError
 
@@ -66,12 +66,13 @@ def _known(error: Exception) -> int:
     from testbed.batch import Interrupted
     from testbed.pool import CannotStart
     from testbed.store import StoreError
+    from testbed.until import NotReached
 
     show = getattr(error, "show", None)
     if show is not None:  # a usage error of the command line
         show()
         return Exit.INPUT
-    if isinstance(error, StoreError | CannotStart):
+    if isinstance(error, StoreError | CannotStart | NotReached):
         return _complain(str(error))
     if isinstance(error, Interrupted):
         _complain(str(error))
@@ -121,40 +122,51 @@ def run(
     scenarios: Names,
     trials: Trials = None,
     seed: Seed = None,
-    jobs: Annotated[str, typer.Option(help="Processes: a number, or auto for one a core.")] = "auto",
+    jobs: Annotated[str, typer.Option(help="Processes: a number, auto for one a core, 0 for this very one (for a debugger).")] = "auto",
+    cluster: Annotated[str, typer.Option(metavar="ADDRESS", help="Work on a cluster: tcp://HOST:PORT, or slurm:PROFILE.yaml.")] = "",
+    shared: Annotated[str, typer.Option(metavar="URL", help="Where a cluster leaves recordings, if it can't see --out.")] = "",
+    until: Annotated[str, typer.Option(metavar="FIGURE", help='Run more trials until it is known: "ukf.position_error_m.mean ± 2%".')] = "",
+    max_trials: Annotated[int, typer.Option(help="With --until: at most so many.", min=2)] = 10_000,
     sets: Sets = None,
     estimator: Only = None,
     out: Annotated[Path | None, typer.Option(help="Output folder; runs/NAME where left out, or runs/NAME-2, ...")] = None,
     keep: Annotated[str, typer.Option(help="Recordings to keep: none, all, or some of failed, first:N, worst:N.")] = "first:1,failed",
-    resume: Annotated[bool, typer.Option("--resume", help="Go on in --out where an earlier run stopped.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on in --out: what is there stays, what changed is run again.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the run that is in --out.")] = False,
     with_report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html into the output folder.")] = True,
     as_json: Json = False,
 ) -> None:
     """Run scenarios: simulate their trials, run every estimator on them, score, judge what the scenario expects, report."""
-    from testbed import batch
+    from testbed import batch, pool
     from testbed.api import scenario_of
     from testbed.keep import Keep
     from testbed.progress import choose
+    from testbed.until import Until
 
     if resume and out is None:
         raise typer.Exit(_complain("--resume needs --out, the folder of the run to go on with"))
-    if jobs != "auto" and not (jobs.isdecimal() and int(jobs) > 0):
-        raise typer.Exit(_complain(f"--jobs takes a number from 1, or auto, not {jobs!r}"))
+    if jobs != "auto" and not jobs.isdecimal():
+        raise typer.Exit(_complain(f"--jobs takes a number from 0, or auto, not {jobs!r}"))
     try:
         Keep.parse(keep)
     except ValueError as error:
         raise typer.Exit(_complain(f"--keep: {error}")) from None
+    try:
+        enough = Until.parse(until, max_trials) if until else None
+    except ValueError as error:
+        raise typer.Exit(_complain(f"--until: {error}")) from None
+    how: dict[str, Any] = {"jobs": "auto"} if jobs == "auto" else {"jobs": max(1, int(jobs))}
+    if jobs != "0" and not cluster:
+        how["executors"] = pool.Workers  # a crash in native code then ends a process of theirs, not this one
+    how |= {"cluster": cluster, "shared": shared, "until": enough}
     loaded = [scenario_of(n, trials=trials, seed=seed, estimators=estimator or (), sets=sets or ()) for n in scenarios]
     for scenario in loaded:
         _placed(scenario.points()[:1])  # what only the hall can tell, before a folder is made
     results = []
     for scenario in loaded:
         folder = _folder(out, scenario.name, several=len(loaded) > 1)
-        count = "auto" if jobs == "auto" else int(jobs)
-        found = batch.run(
-            scenario, out=folder, jobs=count, keep=keep, resume=resume, force=force, command=sys.argv, progress=choose(sys.stderr)
-        )
+        progress = choose(sys.stderr)
+        found = batch.run(scenario, out=folder, keep=keep, resume=resume, force=force, command=sys.argv, progress=progress, **how)
         results.append(found)
         if not as_json:
             console.run(_out(), found)
@@ -288,6 +300,8 @@ def explain(
 
 app.command("coverage")(cli_coverage.coverage)
 app.command("export")(cli_export.export)
+app.command("compare")(cli_compare.compare)
+app.command("leaderboard")(cli_compare.leaderboard)
 app.command("calibrate")(cli_calibrate.calibrate)
 
 

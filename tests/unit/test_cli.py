@@ -39,14 +39,14 @@ def command(*words, cwd, code=0, before=""):
 
 
 def test_json_on_stdout_and_nothing_else(quick, tmp_path):
-    document = json.loads(command("run", quick, "--json", "--jobs", "1", cwd=tmp_path).stdout)
+    document = json.loads(command("run", quick, "--json", "--jobs", "0", cwd=tmp_path).stdout)
     assert document["scenario"] == "quick"
     assert document["points"][0]["estimators"]["centroid"]["position_error_m"]["n"] == 2
     assert document["ok"] is True
 
 
 def test_a_table_for_people_and_an_output_folder(quick, tmp_path):
-    done = command("run", quick, "--jobs", "1", cwd=tmp_path)
+    done = command("run", quick, "--jobs", "0", cwd=tmp_path)
     assert "mean error m" in done.stdout
     assert "±" in done.stdout
     folder = tmp_path / "runs" / "quick"
@@ -56,16 +56,16 @@ def test_a_table_for_people_and_an_output_folder(quick, tmp_path):
 
 def test_a_second_run_takes_a_folder_of_its_own_and_out_is_not_overwritten(quick, tmp_path):
     for _ in range(2):
-        command("run", quick, "--jobs", "1", "--trials", "1", cwd=tmp_path)
+        command("run", quick, "--jobs", "0", "--trials", "1", cwd=tmp_path)
     assert (tmp_path / "runs" / "quick-2").is_dir()
-    refused = command("run", quick, "--jobs", "1", "--out", "runs/quick", cwd=tmp_path, code=2)
+    refused = command("run", quick, "--jobs", "0", "--out", "runs/quick", cwd=tmp_path, code=2)
     assert "--force" in refused.stderr
-    command("run", quick, "--jobs", "1", "--trials", "1", "--out", "runs/quick", "--force", cwd=tmp_path)
+    command("run", quick, "--jobs", "0", "--trials", "1", "--out", "runs/quick", "--force", cwd=tmp_path)
 
 
 def test_an_expectation_that_does_not_hold_is_exit_1_with_its_line(quick, tmp_path):
     quick.write_text(quick.read_text() + "expect:\n  centroid: {position_error_m: {mean: {max: 0.001}}}\n")
-    done = command("run", quick, "--jobs", "1", cwd=tmp_path, code=1)
+    done = command("run", quick, "--jobs", "0", cwd=tmp_path, code=1)
     assert "quick.yaml:14: centroid.position_error_m.mean <= 0.001: got" in done.stdout
 
 
@@ -79,7 +79,7 @@ def test_a_crashed_trial_is_exit_3_and_the_rest_is_kept(quick, tmp_path):
             return whole(self, index, seed)
         Simulator.trial = trial
     """)
-    done = command("run", quick, "--jobs", "1", "--json", cwd=tmp_path, code=3, before=break_it)
+    done = command("run", quick, "--jobs", "0", "--json", cwd=tmp_path, code=3, before=break_it)
     document = json.loads(done.stdout)
     assert document["failures"][0]["error"] == "RuntimeError: the trolley caught fire"
     assert document["points"][0]["estimators"]["centroid"]["position_error_m"]["n"] == 1
@@ -122,7 +122,7 @@ def test_every_mistake_of_a_file_is_shown_at_once_with_its_place(quick, tmp_path
 
 
 def test_a_kept_recording_is_replayed_to_the_same_figures(quick, tmp_path):
-    ran = json.loads(command("run", quick, "--jobs", "1", "--trials", "1", "--json", "--out", "o", cwd=tmp_path).stdout)
+    ran = json.loads(command("run", quick, "--jobs", "0", "--trials", "1", "--json", "--out", "o", cwd=tmp_path).stdout)
     again = json.loads(command("replay", "o", "--json", "--out", "tracks", cwd=tmp_path).stdout)
     error = ran["points"][0]["estimators"]["centroid"]["position_error_m"]["mean"]
     assert again["estimators"]["centroid"]["position_error_m"]["mean"] == pytest.approx(error, abs=1e-9)
@@ -136,7 +136,7 @@ def test_pictures_of_a_run_by_its_cameras(quick, tmp_path):
     quick.write_text(
         quick.read_text() + "cameras:\n  - {id: hall, at: [start, end], width_px: 160, height_px: 120}\n  - {id: t, follow: t1}\n"
     )
-    command("run", quick, "--jobs", "1", "--trials", "1", "--out", "o", cwd=tmp_path)
+    command("run", quick, "--jobs", "0", "--trials", "1", "--out", "o", cwd=tmp_path)
     said = command("render", "o", "--out", "p", "--camera", "hall", cwd=tmp_path).stdout.split()
     assert said == ["p/hall-start.png", "p/hall-end.png"]
     import cv2
@@ -149,7 +149,7 @@ def test_pictures_of_a_run_by_its_cameras(quick, tmp_path):
 
 
 def test_a_trial_is_made_again_from_the_manifest(quick, tmp_path):
-    command("run", quick, "--jobs", "1", "--out", "o", cwd=tmp_path)
+    command("run", quick, "--jobs", "0", "--out", "o", cwd=tmp_path)
     quick.unlink()
     rows = json.loads(command("rerun", "o", "--trial", "1", "--json", cwd=tmp_path).stdout)["rows"]
     import pyarrow.parquet as pq
@@ -161,7 +161,7 @@ def test_a_trial_is_made_again_from_the_manifest(quick, tmp_path):
 def test_without_pybullet_validate_replay_and_kinematic_runs_work(quick, tmp_path):
     block = "import sys; sys.modules['pybullet'] = None"
     command("validate", quick, cwd=tmp_path, before=block)
-    command("run", quick, "--jobs", "1", "--trials", "1", "--out", "o", cwd=tmp_path, before=block)
+    command("run", quick, "--jobs", "0", "--trials", "1", "--out", "o", cwd=tmp_path, before=block)
     command("replay", "o", cwd=tmp_path, before=block)
     command("schema", cwd=tmp_path, before=block)
     assert "pybullet is missing" in command("doctor", cwd=tmp_path, before=block).stdout

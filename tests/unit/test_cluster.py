@@ -75,6 +75,7 @@ def test_a_worker_that_is_killed_costs_nothing(scheduler, tmp_path):
     assert before[0] not in pids(scheduler)
 
 
+@pytest.mark.study
 def test_a_trial_that_kills_its_workers_is_the_only_one_lost(scheduler):
     with distributed.Client(scheduler.scheduler_address, set_as_default=False) as client:
         client.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 0))
@@ -84,11 +85,13 @@ def test_a_trial_that_kills_its_workers_is_the_only_one_lost(scheduler):
     same(result.rows, {name: column[kept["trial"] != 5] for name, column in kept.items()})
 
 
+@pytest.mark.study
 def test_bad_input_found_there_arrives_as_what_it_is(scheduler):
     with pytest.raises(ScenarioError, match="world: there is no such thing in this world"):
         run(scenario(trials=12, title="input=5"), cluster=scheduler.scheduler_address, work=work)
 
 
+@pytest.mark.study
 def test_a_real_scenario_gives_the_same_values_for_one_two_and_a_cluster(scheduler, tmp_path):
     one = load("empty-floor", {"trials": 8, "duration_s": 2})
     found = [
