@@ -18,7 +18,7 @@ from testbed.roads import RoadGraph
 from worlds.hall import BaseHall
 from worlds.importers.building_file import Item, Level, building
 from worlds.importers.files import FileConfig, WorldFileError
-from worlds.importers.hall import check_materials, material, plain_names, room, with_sides
+from worlds.importers.hall import check_materials, many, material, plain_names, room, with_sides
 from worlds.parts import MATERIALS, Part, floor_pose, wall
 
 PANEL = 0.05  # m: thickness of a closed door
@@ -26,7 +26,7 @@ SHORTEST = 0.01  # m: a wall below it is none
 
 
 class BuildingMap(BaseHall):
-    """Bodies: wall1, ... as drawn, their doors gaps or, closed, panels under the doors' names; models under their own names, with tag
+    """Bodies: wall1, ... as drawn, their doors gaps or, closed, panels under the doors' names; models under their names, with tag
     mounts on their sides (front.1, ..., left, back, right, top). A model's shape isn't in the file: it is a cuboid of what `sizes_m` says.
 
     path      : the file, relative to the scenario's folder
@@ -95,7 +95,7 @@ class BuildingMap(BaseHall):
 
     def _models(self) -> list[Part]:
         known = [(item, size) for item in self.level.items if (size := self._size(item)) is not None]
-        names = plain_names([item.name for item, _ in known])
+        names = plain_names([item.name.rpartition("/")[2] for item, _ in known])
         return [self._model(name, item, size) for name, (item, size) in zip(names, known, strict=True)]
 
     def _size(self, item: Item) -> Point3 | None:
@@ -131,12 +131,12 @@ class BuildingMap(BaseHall):
         """In sentences what the file became, and what of it was left out."""
         level, unknown = self.level, Counter(item.kind for item in self.level.items if self._size(item) is None)
         length = np.hypot(*(level.walls[:, 1] - level.walls[:, 0]).T).sum()
-        doors = f"{len(level.doors)} doors, all {self.config.doors}"
-        found = [f"{len(level.walls)} walls of {length:.1f} m at {level.scale * 1000:.3f} mm a pixel, {doors}"]
+        doors = f"{many(len(level.doors), 'door', 'doors')} {self.config.doors}"
+        found = [f"{many(len(level.walls), 'wall', 'walls')} of {length:.1f} m at {level.scale * 1000:.3f} mm a pixel, {doors}"]
         if (roads := self.roads()) is not None:
             ends = roads.nodes[roads.segments]
-            found.append(f"{len(roads.segments)} lanes of {np.hypot(*(ends[:, 1] - ends[:, 0]).T).sum():.1f} m")
+            found.append(f"{many(len(roads.segments), 'lane', 'lanes')} of {np.hypot(*(ends[:, 1] - ends[:, 0]).T).sum():.1f} m")
         if unknown:
-            named = ", ".join(f"{kind} ({many})" for kind, many in unknown.items())
-            found.append(f"{sum(unknown.values())} models are left out, for sizes_m doesn't tell their measures: {named}")
+            named = ", ".join(f"{kind} ({n})" for kind, n in unknown.items())
+            found.append(f"{many(sum(unknown.values()), 'model is', 'models are')} left out: sizes_m doesn't tell how large: {named}")
         return [*found, *level.notes]

@@ -16,7 +16,7 @@ from testbed.columns import Array
 from testbed.geometry import Boxes, Meshes
 from worlds.hall import BaseHall
 from worlds.importers.files import FileConfig
-from worlds.importers.hall import check_materials, chosen, material, plain_names, room, with_sides
+from worlds.importers.hall import check_materials, chosen, many, material, plain_names, room, with_sides
 from worlds.importers.sdf_file import Model, SdfWorld
 from worlds.parts import Part
 
@@ -40,7 +40,7 @@ class Sdf(BaseHall):
 
     class Config(FileConfig):
         path: Annotated[str, Field(min_length=1, max_length=1000)]
-        model_path: Annotated[list[str], Field(min_length=1, max_length=20)] = Field(default_factory=lambda: ["models", "../models", "."])
+        model_path: Annotated[list[str], Field(min_length=1, max_length=20)] = Field(default_factory=lambda: ["models", "../models", ".", ".."])
         leave_out: Annotated[list[str], Field(max_length=200)] = Field(default_factory=list)
         drop_prefix: Annotated[str, Field(max_length=200)] = ""
         kinds: Patterns = Field(default_factory=dict)
@@ -93,13 +93,14 @@ class Sdf(BaseHall):
         parts = self.parts()
         closed = sum(int(p.meshes.closed.sum()) for p in parts)
         thin = Counter(p.name for p in parts for closed_ in p.meshes.closed if not closed_)
+        triangles = sum(int(p.meshes.closed[p.meshes.mesh].sum()) for p in parts)
         found = [
-            f"{len(parts)} bodies: {sum(len(p.boxes) for p in parts)} boxes, and {closed} solid meshes "
-            f"of {sum(int(p.meshes.closed[p.meshes.mesh].sum()) for p in parts)} triangles"
+            f"{many(len(parts), 'body', 'bodies')}: {many(sum(len(p.boxes) for p in parts), 'box', 'boxes')}, and "
+            f"{many(closed, 'solid mesh', 'solid meshes')} of {triangles} triangles"
         ]
         if thin:
-            named = ", ".join(f"{name} ({many})" for name, many in thin.items())
-            found.append(f"{sum(thin.values())} meshes are not watertight and take entry loss alone: {named}")
+            named = ", ".join(f"{name} ({n})" for name, n in thin.items())
+            found.append(f"{many(sum(thin.values()), 'mesh is', 'meshes are')} not watertight, with entry loss alone: {named}")
         if self._file.left_out:
             found.append(f"left out: {', '.join(f'{tag} ({n})' for tag, n in sorted(self._file.left_out.items()))}")
         return found

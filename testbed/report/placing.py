@@ -187,4 +187,5 @@ def _cuts(spec: CameraSpec, scene: Scene, camera: Camera) -> frozenset[int]:
     boxes = scene.static_boxes()
     boxes = boxes.take(np.isin(boxes.body, [i for i, b in enumerate(scene.bodies) if b.kind in WALLS]))
     in_the_way = crossed(np.tile(camera.position, (len(ends), 1)), ends, boxes).any(axis=0)
-    return frozenset(int(i) for i in boxes.body[in_the_way])
+    shells = [i for i in scene.meshes.body if outside and scene.bodies[i].kind in WALLS]  # walls in one piece are always in the way
+    return frozenset(int(i) for i in [*boxes.body[in_the_way], *shells])

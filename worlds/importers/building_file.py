@@ -175,9 +175,9 @@ def _roads(told: dict[str, Any], vertices: Array, name: str) -> tuple[Roads | No
     main = max(metres, key=lambda root: metres[root])
     kept = [way for way in ways if _root(part, way[0]) == main]
     used, segments = np.unique(kept, return_inverse=True)
-    notes = [f"{twice} lanes are there twice or both ways apart, each taken as one"] if twice else []
+    notes = [f"of {twice} more, the way is there already: each is taken as one"] if twice else []
     if len(kept) < len(ways):
-        notes.append(f"{len(ways) - len(kept)} lanes of {sum(metres.values()) - metres[main]:.1f} m hang together with no others")
+        notes.append(f"left out: {len(ways) - len(kept)} of {sum(metres.values()) - metres[main]:.1f} m that hang together with no others")
     return Roads(vertices[used], segments.reshape(-1, 2), np.array([ways[way] for way in kept])), tuple(notes)
 
 

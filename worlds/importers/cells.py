@@ -87,6 +87,8 @@ def _merged_runs(full: Array) -> Array:
     edge = np.zeros((len(full), 1), dtype=np.int8)
     change = np.diff(np.concatenate([edge, full.astype(np.int8), edge], axis=1), axis=1)
     (row, first), (_, end) = np.nonzero(change == 1), np.nonzero(change == -1)
+    if not len(row):
+        return np.zeros((0, 4), dtype=np.int64)
     order = np.lexsort((row, end, first))  # runs of one extent stand together, downwards
     row, first, end = row[order], first[order], end[order]
     new = np.ones(len(row), dtype=bool)

@@ -39,6 +39,11 @@ def check_materials(names: Sequence[str]) -> None:
         raise ValueError(f"nobody knows the material {stranger!r}; there are {', '.join(MATERIALS)}")
 
 
+def many(count: int, one: str, more: str) -> str:
+    """A number with its noun."""
+    return f"{count} {one if count == 1 else more}"
+
+
 def plain_names(given: Sequence[str]) -> list[str]:
     """Names of bodies: of letters, digits, _, - and . alone, and a number behind the second of one name."""
     found: list[str] = []
