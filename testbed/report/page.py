@@ -24,6 +24,7 @@ from testbed.report.amounts import capital, counted, listed
 from testbed.report.cases import Case
 from testbed.report.covered import site
 from testbed.report.figures import Drawing, Styles
+from testbed.report.figures_gates import gates
 from testbed.report.figures_plan import floor_plan
 from testbed.report.figures_radio import phase_by_range, radio_strips
 from testbed.report.figures_roads import clouds, curves, settling
@@ -136,7 +137,7 @@ def page(study: Study) -> str:
         "points": points,
         "why_none": "every trial failed, see below." if study.failures else "the scenario names no estimator, or no target.",
         "sweep": sweep(study, styles, "sweep"),
-        "over_runs": [drawn for drawn in (curves(study, "curves"), settling(study, "settling")) if drawn],
+        "over_runs": [drawn for drawn in (curves(study, "curves"), settling(study, "settling"), *gates(study)) if drawn],
         "claims": claims,
         "papers": papers,
         "coverage": covered,
