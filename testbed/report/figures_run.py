@@ -158,6 +158,7 @@ def _along(axes: Axes, study: Study, points: Sequence[int], path: str, styles: S
     for id in styles.ids:
         by_point = {s.point: s for s in study.summaries if s.estimator == id}
         there = [(x, by_point[i]) for x, i in zip(places.tolist(), points, strict=True) if i in by_point]
+        there.sort(key=lambda one: one[0])  # a line along the values, whatever order the file has them in
         if there:
             shift = 0.06 * gap * (styles.place(id) - (len(styles.ids) - 1) / 2) / max(1, len(styles.ids) - 1)
             _bars(axes, there, shift, study.main or "", id, styles)

@@ -12,7 +12,18 @@ from testbed.report.figures_roads import CURVE_COLUMNS
 from testbed.report.figures_run import spelled
 from testbed.report.study import Study
 
-SHARES = ("availability", "nees.inside_95", "nis.inside_95", "line_of_sight", "found", "in_time", "slips", "trusted")  # shown in %
+SHARES = (
+    "availability",
+    "nees.inside_95",
+    "nis.inside_95",
+    "line_of_sight",
+    "found",
+    "in_time",
+    "slips",
+    "trusted",
+    "segment.identified",
+    "lost_runs",
+)  # in %
 RESULTS = {  # column of the results -> heading, unit
     "position_error_m.mean": ("mean error", "m"),
     "position_error_m.p50": ("median error", "m"),
@@ -23,6 +34,9 @@ RESULTS = {  # column of the results -> heading, unit
     "nees.inside_95": ("NEES within its 95 % limits", "% of the time"),
     "nis.mean": ("NIS per degree of freedom", ""),
     "time_lost_s.total": ("time lost", "s"),
+    "segment.identified": ("right road segment", "% of the time"),
+    "settle_s": ("settle time, of runs that settle", "s"),
+    "lost_runs": ("runs that never settle", "% of trials"),
     "steps": ("steps", ""),
     "turns": ("turns", ""),
     "distance_m": ("way walked", "m"),

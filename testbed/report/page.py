@@ -22,6 +22,7 @@ from testbed.report import cases, figures_guide, grids, player, words
 from testbed.report.album import Picture, album
 from testbed.report.amounts import capital, counted, listed
 from testbed.report.cases import Case
+from testbed.report.cloud_motion import cloud_motion
 from testbed.report.covered import site
 from testbed.report.figures import Drawing, Styles
 from testbed.report.figures_gates import gates
@@ -250,7 +251,9 @@ def _shown(case: Case, study: Study, styles: Styles, index: int) -> Shown:
     if not index:  # they are large: one recording's are enough to look at
         figures[-1:-1] = [*radio_strips(case, f"radio-{index}", where), phase_by_range(case, f"phase-{index}", where)]
     pictures = album(case, styles, moving=index == 0)
-    shown = Shown(where, plan, errors, tuple(f for f in figures if f), pictures.pictures, pictures.note)
+    moving = None if index else cloud_motion(case, styles)
+    seen = (*pictures.pictures, *([moving] if moving else []))
+    shown = Shown(where, plan, errors, tuple(f for f in figures if f), seen, pictures.note)
     if index:
         return shown
     content = player.data(case, styles, plan, errors)

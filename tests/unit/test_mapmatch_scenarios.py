@@ -3,7 +3,8 @@
 import pytest
 
 import testbed
-from testbed.scenario import load
+from testbed.roads import project
+from testbed.scenario import ScenarioError, from_text, load
 from testbed.simulate import Simulator
 
 NAMES = ["mapmatch", "mapmatch-beyond", "mapmatch-forklift", "mapmatch-wander", "mapmatch-steel", "mapmatch-gates", "mapmatch-landmarks"]
@@ -35,3 +36,50 @@ def test_a_driven_forklift_is_located_among_surveyed_tags():
     found = document["points"][0]["estimators"]
     assert found["fused"]["events"]["used"] > 115  # odometer and compass ten times a second, and some tags
     assert found["tags-alone"]["position_error_m"]["mean"] < 6.0
+
+
+HALL = """name: hall
+seed: 1
+trials: 1
+duration_s: 5
+world: {kind: road_hall, racks: false, nodes_m: NODES, segments: SEGMENTS}
+actors: [{id: f, kind: forklift, motion: kinematic, WAY}]
+sensors: [{id: odometer, kind: odometry, on: f}]
+targets: [f]
+estimators: [{kind: mapmatch_grid}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("nodes", "segments", "way", "message"),
+    [
+        (
+            "[[0, 0], [4, 0], [9, 9], [12, 9]]",
+            "[[0, 1], [2, 3]]",
+            "walk: {}",
+            r"hall.yaml:5:\d+ world: .* to node 2 at \(9, 9\): join the parts",
+        ),
+        ("[[0, 0], [4, 0]]", "[[0, 1], [1, 0]]", "walk: {}", r"hall.yaml:5:\d+ world: .* between \(4, 0\) and \(0, 0\) is there already"),
+        ("[[0, 0], [4, 0], [4, 0]]", "[[0, 1], [1, 2]]", "walk: {}", r"hall.yaml:5:\d+ world: .* at \(4, 0\) has no length"),
+        ("[[0, 0], [4, 0]]", "[[0, 1]]", "route: {waypoints_m: [[0, 0], [0, 4]]}", r"actor f: way point 1 at \(0, 4\) is off the roads"),
+    ],
+)
+def test_what_no_forklift_can_drive_on_is_named_in_the_file(nodes, segments, way, message):
+    text = HALL.replace("NODES", nodes).replace("SEGMENTS", segments).replace("WAY", way)
+    with pytest.raises(ValueError, match=message) as refused:
+        Simulator(from_text(text, path="hall.yaml").points()[0].scenario)
+    assert isinstance(refused.value, ScenarioError) or way.startswith("route")
+
+
+def test_a_scenario_s_own_roads_are_driven_and_known_to_the_estimators():
+    nodes, segments = "[[0, 0], [9, 0], [9, 6], [0, 6]]", "[[0, 1], [1, 2], [2, 3], [3, 0]]"
+    text = HALL.replace("NODES", nodes).replace("SEGMENTS", f"{segments}, one_way: [0, 1, 2, 3]").replace("WAY", "walk: {speed_mps: 2}")
+    with Simulator(from_text(text, path="hall.yaml").points()[0].scenario) as simulator:
+        trial = simulator.trial(0)
+    roads = trial.recording.site.roads
+    assert roads is not None
+    assert roads.one_way.all()
+    place = trial.truth.poses[:, 0, :2]
+    assert project(roads, place)[2].max() < 1e-6
+    about = place - [4.5, 3.0]  # round and round against the clock, as the arrows say
+    assert (about[:-1, 0] * about[1:, 1] - about[:-1, 1] * about[1:, 0] > 0).all()
