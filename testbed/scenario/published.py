@@ -185,7 +185,7 @@ def _figure(
     metric, statistic = cell.metric or table.metric, (cell.statistic if cell.metric else cell.statistic or table.statistic) or ""
     if metric is None:
         review.note(loc, "which figure is meant? Give the cell or its table a metric, as in metric: position_error_m")
-    elif columns is not None:
+    elif columns is not None and name != WORLD:  # what the world offers is no metric's
         known(metric, statistic, columns, loc, review)
     point = _point(cell.at, points, loc, review)
     if metric is None or len(review.problems) > before:

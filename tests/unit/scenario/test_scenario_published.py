@@ -32,6 +32,15 @@ def test_a_cell_finds_its_point_of_the_sweep(fakes, document):
     assert (figure.point, figure.subject, figure.metric, figure.statistic, figure.paper) == (1, "ekf", "position_error_m", "mean", 86.18)
 
 
+def test_a_cell_may_be_about_what_the_world_offers(fakes, document):
+    cell = {"estimator": "world", "at": {GATES: 2}, "metric": "line_of_sight", "accept": [40, 60]}
+    scenario = from_dict(with_tables(document, cell, metric=None, statistic=None))
+    (figure,) = scenario.published[0].tables[0].figures
+    assert (figure.subject, figure.metric, figure.statistic) == ("world", "line_of_sight", "")
+    claims = [c for c in scenario.expect if c.subject == "world" and c.point == 1]
+    assert [(c.bound, c.value) for c in claims] == [("min", pytest.approx(0.4)), ("max", pytest.approx(0.6))]
+
+
 def test_without_a_sweep_a_cell_is_about_the_only_point(fakes, document):
     document = with_tables(document, {"estimator": "ekf", "paper": 1.0})
     del document["sweep"]
