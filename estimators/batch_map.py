@@ -7,6 +7,7 @@ early; here each start runs into the mode that is nearest to it, and the most pr
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
@@ -14,22 +15,42 @@ from pydantic import Field, model_validator
 
 from estimators.heard import Heard
 from estimators.measurements import Piece, Power
+from estimators.phase_changes import PhaseChanges, change, one_carrier
 from estimators.trajectories import Course, step
 from estimators.ukf import Ukf, UkfConfig
+from testbed.quantity import Seconds
 from testbed.types import POSITION_VELOCITY, Array, Estimate, Event, Prior, RowRandom, Site, Status, UpdateInfo
 
+HEIGHT, CHANGE = -1, -2  # in place of an antenna's index: a height; and CHANGE - i, a change of distance to antenna i
 EASIEST, HARDEST = 1e-6, 1e9  # damping below which there is none, and at which a step has failed
+
+
+@dataclass(frozen=True, eq=False)
+class _Links:
+    """What the measurements (E, K, m) of E problems are of: antenna (or HEIGHT, CHANGE), tag, and the s that a change took."""
+
+    antenna: Array
+    tag: Array
+    span: Array
+
+    def take(self, index: Array) -> _Links:
+        """Some of the problems."""
+        return _Links(self.antenna[index], self.tag[index], self.span[index])
 
 
 class BatchMapConfig(UkfConfig):
     """As for a `ukf` in dBm, which goes forward and gives one of the starts.
 
     The others stand still at the prior's mean and at the corners of a box `reach` standard deviations of the prior to each side.
+    `phase_noise_rad`: take the changes of phase from read to read as well, with this deviation a read, where no more than
+    `longest_s` lie between; for a reader that stays on one carrier. Their errors count as independent, which those of neighbours are not.
     """
 
     smooth: bool = True
     reach: Annotated[float, Field(gt=0, le=100)] = 1.5
     iterations: Annotated[int, Field(ge=1, le=1000)] = 30
+    phase_noise_rad: Annotated[float, Field(gt=0, le=3)] | None = None
+    longest_s: Annotated[Seconds, Field(gt=0, le=10)] = 0.15
 
     @model_validator(mode="after")
     def _in_power(self) -> BatchMapConfig:
@@ -51,32 +72,49 @@ class BatchMap(Ukf):
         super().__init__(config, site, rng)
         if not config.smooth:
             raise ValueError("batch_map: looking back is all that it adds to a ukf: smooth must be true")
+        self._metres = None if config.phase_noise_rad is None else one_carrier(site, "batch_map")
+        if config.phase_noise_rad is not None and not config.together:
+            raise ValueError("batch_map: changes of phase are taken from snapshots: together must be true")
 
     def start(self, prior: Prior) -> None:
         self._prior = prior
-        self._said: list[tuple[Array, Array, Array, Array, Array, Array]] = []
+        self._said: list[tuple[Array, ...]] = []  # row, t (E,); value, variance, antenna, tag, span (E, c)
+        if self._metres is not None:
+            self._phases = PhaseChanges(prior.rows, len(self._site.antennas), self._metres, self._config.longest_s)
         super().start(prior)
 
     def update(self, event: Event) -> UpdateInfo:
         if event.kind == "heights":
             e = len(event)
-            nobody = np.full((e, 1), -1)
             variance = np.full((e, 1), self._config.height_std_m**2)
-            self._said.append((event.row, event.data.t, event.data.height[:, None], variance, nobody, nobody))
+            what = np.full((e, 1), HEIGHT), np.zeros((e, 1), dtype=np.int64), np.zeros((e, 1))
+            self._said.append((event.row, event.data.t, event.data.height[:, None], variance, *what))
+        if event.kind == "snapshots" and self._metres is not None:
+            self._changes(event, self._metres)
         return super().update(event)
+
+    def _changes(self, event: Event, metres: float) -> None:
+        """Note how distances changed since each link's last read."""
+        shots = event.data
+        came, span = self._phases.take(event.row, shots, self._hearing.counts(shots))
+        e = len(event)
+        tag, antenna = (np.broadcast_to(a, came.shape).reshape(e, -1) for a in (shots.tag[:, :, None], np.arange(came.shape[2])))
+        pushed = self._config.acceleration_std_mps2 * span**2 / 2
+        variance = 2 * (self._config.phase_noise_rad * metres) ** 2 + pushed**2
+        self._said.append((event.row, shots.t, came.reshape(e, -1), variance.reshape(e, -1), CHANGE - antenna, tag, span.reshape(e, -1)))
 
     def _pieces(self, heard: Heard) -> list[Piece]:
         pieces = super()._pieces(heard)
         levels = pieces[0]
         if isinstance(levels, Power) and len(heard.row):
-            self._said.append((heard.row, heard.t, heard.rssi, levels.variance, heard.antenna, heard.tag))
+            self._said.append((heard.row, heard.t, heard.rssi, levels.variance, heard.antenna, heard.tag, np.zeros(heard.rssi.shape)))
         return pieces
 
     def smooth(self, t: Array) -> Sequence[Estimate]:
         """The estimates at the times t (K,) of the most probable trajectory."""
-        nodes, course, antenna, tag = self._problem(t)
+        nodes, course, links = self._problem(t)
         starts = self._starts(nodes, super().smooth(t), t)
-        found = [self._search(course, antenna, tag, states) for states in starts]
+        found = [self._search(course, links, states) for states in starts]
         costs = np.array([cost for _, _, cost in found])
         best = np.nan_to_num(costs, nan=np.inf).argmin(axis=0)
         rows = np.arange(len(best))
@@ -92,7 +130,7 @@ class BatchMap(Ukf):
 
     # ------------------------------------------------------------ the problem
 
-    def _problem(self, ticks: Array) -> tuple[list[Array], Course, Array, Array]:
+    def _problem(self, ticks: Array) -> tuple[list[Array], Course, _Links]:
         """Nodes of each row (all times that something was measured or is asked for), and the measurements at them."""
         rows = self._prior.rows
         row, t = (np.concatenate([said[i] for said in self._said] or [np.empty(0)]) for i in range(2))
@@ -100,26 +138,22 @@ class BatchMap(Ukf):
         nodes = [np.unique(np.concatenate([ticks[ticks >= self._prior.t[b]], own[b]])) for b in range(rows)]
         k, m = max(map(len, nodes)), self._most(row, t)
         z, variance = np.full((rows, k, m), np.nan), np.ones((rows, k, m))
-        antenna, tag = np.full((rows, k, m), -1), np.zeros((rows, k, m), dtype=np.int64)
+        links = _Links(np.full((rows, k, m), HEIGHT), np.zeros((rows, k, m), dtype=np.int64), np.zeros((rows, k, m)))
         filled = np.zeros((rows, k), dtype=np.int64)
         for said in self._said:
             place = np.array([np.searchsorted(nodes[b], when) for b, when in zip(said[0], said[1], strict=True)], dtype=np.int64)
             for c in range(said[2].shape[1]):
                 there = np.isfinite(said[2][:, c])
                 at = (said[0][there], place[there], filled[said[0][there], place[there]])
-                z[at], variance[at], antenna[at], tag[at] = (said[i][there, c] for i in (2, 3, 4, 5))
+                z[at], variance[at], links.antenna[at], links.tag[at], links.span[at] = (said[i][there, c] for i in range(2, 7))
                 filled[at[:2]] += 1
         dt = np.zeros((rows, k))
         for b, when in enumerate(nodes):
             dt[b, : len(when)] = np.diff(when, prepend=self._prior.t[b])
         white = self._config.process_noise == "white_acceleration"
         intensity = self._config.acceleration_density_m2ps3 if white else self._config.acceleration_std_mps2**2
-        return (
-            nodes,
-            Course(np.array([len(own) for own in nodes]), dt, z, variance, *self._at_first(dt), max(intensity, 1e-12), white),
-            antenna,
-            tag,
-        )
+        count = np.array([len(own) for own in nodes])
+        return nodes, Course(count, dt, z, variance, *self._at_first(dt), max(intensity, 1e-12), white), links
 
     def _most(self, row: Array, t: Array) -> int:
         """The most components that any node has."""
@@ -156,24 +190,28 @@ class BatchMap(Ukf):
 
     # ------------------------------------------------------------ the search
 
-    def _expected(self, states: Array, antenna: Array, tag: Array) -> tuple[Array, Array]:
-        """h (E, K, m) and its gradient (E, K, m, 3) at trajectories; antenna -1 stands for a height."""
-        e, k, m = antenna.shape
-        position = np.repeat(states[:, :, None, :3], m, axis=2).reshape(-1, 3)
-        level, gradient = self._model.linearised(position, np.maximum(antenna, 0).ravel(), tag.clip(0).ravel())
-        up = (antenna < 0)[..., None] & np.array([False, False, True])
-        expected = np.where(antenna < 0, states[:, :, None, 2], level.reshape(e, k, m))
-        return expected, np.where((antenna < 0)[..., None], up.astype(np.float64), gradient.reshape(e, k, m, 3))
+    def _expected(self, states: Array, links: _Links) -> tuple[Array, Array]:
+        """h (E, K, m) and its gradient (E, K, m, 6) at trajectories (E, K, 6)."""
+        here = np.repeat(states[:, :, None], links.antenna.shape[2], axis=2)
+        expected, gradient = here[..., 2].copy(), np.zeros(here.shape)
+        gradient[..., 2] = 1.0  # heights; the others are put over them
+        heard, changed = links.antenna >= 0, links.antenna <= CHANGE
+        expected[heard], gradient[heard, :3] = self._model.linearised(here[heard][:, :3], links.antenna[heard], links.tag[heard])
+        gradient[heard, 3:] = 0.0
+        if changed.any():
+            place = self._site.antennas.position[CHANGE - links.antenna[changed]]
+            expected[changed], gradient[changed] = change(here[changed], place, links.span[changed])
+        return expected, gradient
 
-    def _search(self, course: Course, antenna: Array, tag: Array, states: Array) -> tuple[Array, Array, Array]:
+    def _search(self, course: Course, links: _Links, states: Array) -> tuple[Array, Array, Array]:
         """The end of Levenberg and Marquardt's way down from `states`: trajectories, covariances, costs."""
         states = states.copy()
-        expected, gradient = self._expected(states, antenna, tag)
+        expected, gradient = self._expected(states, links)
         cost, damping = course.cost(states, expected), np.full(len(states), 1e-2)
         active = np.arange(len(states))
         for _ in range(self._config.iterations):
             tried, _ = step(course.take(active), states[active], expected[active], gradient[active], damping[active])
-            seen, slope = self._expected(tried, antenna[active], tag[active])
+            seen, slope = self._expected(tried, links.take(active))
             now = course.take(active).cost(tried, seen)
             better = now < cost[active]
             gained = np.where(better, cost[active] - now, np.inf)

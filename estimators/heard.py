@@ -14,7 +14,7 @@ from pydantic import Field
 
 from estimators.rssi_model import measured
 from testbed.quantity import Config
-from testbed.types import Array, Event, Site
+from testbed.types import Array, Event, Site, Snapshots
 
 Pattern = Annotated[str, Field(min_length=1, max_length=200)]
 
@@ -77,6 +77,13 @@ class Hearing:
         """The event's vectors; components that no entry has are left out."""
         return self._snapshots(event) if event.kind == "snapshots" else self._reads(event)
 
+    def counts(self, shots: Snapshots) -> Array:
+        """(E, T, M) bool: which cells of snapshots are of tags and antennas that are picked."""
+        return self._wanted(shots.tag)[:, :, None] & self._antenna_counts
+
+    def _wanted(self, tag: Array) -> Array:
+        return (tag >= 0) & self._tag_counts[tag]
+
     def _reads(self, event: Event) -> Heard:
         reads = event.data
         rssi = measured(reads.rssi)
@@ -87,7 +94,7 @@ class Hearing:
     def _snapshots(self, event: Event) -> Heard:
         shots = event.data
         slots, antennas = shots.tag.shape[1], self.antennas
-        counts = (shots.tag >= 0) & self._tag_counts[shots.tag]
+        counts = self._wanted(shots.tag)
         rssi = np.where(counts[:, :, None], measured(shots.rssi[:, :, antennas]), np.nan).reshape(len(event), slots * len(antennas))
         antenna = np.tile(antennas, slots)
         tag = np.repeat(np.maximum(shots.tag, 0), len(antennas), axis=1)

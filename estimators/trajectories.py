@@ -65,7 +65,7 @@ class Course:
 def step(course: Course, states: Array, expected: Array, gradient: Array, damping: Array) -> tuple[Array, Array]:
     """Trajectories (E, K, 6) after one damped step from `states`, and covariances (E, K, 6, 6) of the linearised, damped problem.
 
-    expected (E, K, m) and gradient (E, K, m, 3) with respect to position, both at `states`; damping (E,) is λ.
+    expected (E, K, m) and gradient (E, K, m, 3 or 6) with respect to position, or to all of the state, at `states`; damping (E,) is λ.
     """
     e, k = states.shape[:2]
     found, covariance = np.empty((e, k, 6)), np.empty((e, k, 6, 6))
@@ -158,7 +158,7 @@ def _smooth(own, dt, z, variance, mean, covariance, noise, states, expected, gra
                 if not np.isfinite(z[e, k, c]):
                     continue
                 y = z[e, k, c] - expected[e, k, c]
-                for i in range(3):
+                for i in range(gradient.shape[3]):
                     h[i] = gradient[e, k, c, i]
                     y -= h[i] * (x[i] - states[e, k, i])
                 _take(x, p, h, y, variance[e, k, c], w)

@@ -21,6 +21,7 @@ from testbed.quantity import Config as BaseConfig
 from testbed.quantity import Decibels, Metres, MetresPerSecond, Seconds
 from testbed.recording import Trial
 from testbed.types import Reads, Track
+from testbed.units import SPEED_OF_LIGHT
 
 SLOPE = 10 / np.log(10)  # dB per unit of the natural logarithm
 
@@ -33,6 +34,7 @@ class PositionBoundConfig(BaseConfig):
     acceleration_std_mps2        : constant from one instant of reads to the next
     position_std_m, velocity_std_mps, age_s : of the prior
     height_std_m                 : of a height that is known at every instant of reads; None for none
+    phase_noise_rad, longest_s   : of the phase of a read on the site's one carrier, whose changes within `longest_s` are known; None for none
     skip_s                       : times before it are left out
     """
 
@@ -45,6 +47,8 @@ class PositionBoundConfig(BaseConfig):
     velocity_std_mps: Annotated[MetresPerSecond, Field(gt=0, le=1e3)] = 0.25
     age_s: Annotated[Seconds, Field(ge=0, le=3600)] = 0.0
     height_std_m: Annotated[Metres, Field(gt=0, le=100)] | None = None
+    phase_noise_rad: Annotated[float, Field(gt=0, le=3)] | None = None
+    longest_s: Annotated[Seconds, Field(gt=0, le=10)] = 0.15
     skip_s: Annotated[Seconds, Field(ge=0)] = 0.0
 
 
@@ -73,8 +77,12 @@ class PositionBound:
         if not len(t):
             return np.nan, np.nan
         gradient = self._gradients(trial, target, reads)
-        information = np.zeros((len(t), 3, 3))
-        np.add.at(information, np.searchsorted(t, reads.t), gradient[:, :, None] * gradient[:, None, :] / self._config.sigma_db**2)
+        information = np.zeros((len(t), 6, 6))
+        gained = gradient[:, :, None] * gradient[:, None, :] / self._config.sigma_db**2
+        np.add.at(information[:, :3, :3], np.searchsorted(t, reads.t), gained)
+        if self._config.phase_noise_rad is not None:
+            now, gained = self._changes(trial, target, reads, self._config.phase_noise_rad)
+            np.add.at(information, np.searchsorted(t, now), gained)
         if self._config.height_std_m is not None:
             information[:, 2, 2] += self._config.height_std_m**-2
         counts = t >= self._config.skip_s
@@ -99,8 +107,35 @@ class PositionBound:
         squared = np.maximum(np.einsum("ni,ni->n", apart, apart), 1e-12)
         return -self._config.path_loss_exponent * SLOPE * apart / squared[:, None]
 
+    def _changes(self, trial: Trial, target: int, reads: Reads, noise: float) -> tuple[Array, Array]:
+        """When distances to antennas are known to have changed (N,) s, and what each change tells of the state then (N, 6, 6).
+
+        As in `estimators.phase_changes`: one constant velocity since the read before, errors of changes taken as independent.
+        """
+        site = trial.recording.site
+        if len(site.frequencies) != 1:
+            raise ValueError(f"position_bound: changes of phase need one carrier, and the site has {len(site.frequencies)}")
+        metres = SPEED_OF_LIGHT / (4 * np.pi * float(site.frequencies[0]))
+        order = np.lexsort((reads.t, reads.tag, reads.antenna))
+        antenna, tag, t = reads.antenna[order], reads.tag[order], reads.t[order]
+        again = (np.diff(antenna) == 0) & (np.diff(tag) == 0) & (np.diff(t) <= self._config.longest_s)
+        now, span, place = t[1:][again], np.diff(t)[again], site.antennas.position[antenna[1:][again]]
+        toward, came = (self._directions(trial, target, when, place) for when in (now, now - span))
+        h = np.concatenate([toward - came, span[:, None] * came], axis=1)
+        variance = 2 * (noise * metres) ** 2 + (self._config.acceleration_std_mps2 * span**2 / 2) ** 2
+        return now, h[:, :, None] * h[:, None, :] / variance[:, None, None]
+
+    def _directions(self, trial: Trial, target: int, t: Array, place: Array) -> Array:
+        """(N, 3) unit vectors from places (N, 3) m to the target at the times (N,) s."""
+        times, which = np.unique(t, return_inverse=True)
+        apart = trial.target_states(times)[which, target, :3] - place
+        return apart / np.maximum(np.linalg.norm(apart, axis=1, keepdims=True), 1e-9)
+
     def _covariances(self, dt: Array, information: Array) -> tuple[Array, Array]:
-        """(K, 6, 6) each: of a filter after each instant, and of a smoother; dt[0] is from the prior to the first one."""
+        """(K, 6, 6) each: of a filter after each instant, and of a smoother; dt[0] is from the prior to the first one.
+
+        information (K, 6, 6): what the instant itself tells of the state.
+        """
         config = self._config
         p = np.diag([config.position_std_m**2] * 3 + [config.velocity_std_mps**2] * 3)
         filtered, predicted, transitions = [], [], []
@@ -110,9 +145,7 @@ class PositionBound:
             p = f @ p @ f.T + config.acceleration_std_mps2**2 * push @ push.T
             predicted.append(p)
             transitions.append(f)
-            seen = np.zeros((6, 6))
-            seen[:3, :3] = gained
-            p = np.linalg.solve(np.eye(6) + p @ seen, p)
+            p = np.linalg.solve(np.eye(6) + p @ gained, p)
             p = (p + p.T) / 2
             filtered.append(p)
         smoothed = [filtered[-1]]

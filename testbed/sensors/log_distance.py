@@ -3,7 +3,8 @@
     RSSI = C - 10 n log10(D / 1 m) + N(0, σ)
 
 with D the distance d or, of an antenna with a beam, d / cos θ: on spheres through the antenna, centred on its axis, the level is
-the same (Nick and Götze, section 4). That is a one-way pattern cos^(n/2). Left out: all that radio does in a hall. It is for
+the same (Nick and Götze, section 4). That is a one-way pattern cos^(n/2). With a carrier, phase is wrap(-4π f d / c) plus an offset
+for each antenna and tag, drawn once a trial, plus normal noise. Left out: all that radio does in a hall. It is for
 studies of estimators alone, whose truth and noise are known to the last digit.
 """
 
@@ -25,6 +26,7 @@ from testbed.rng import Counter, keys_of, stream
 from testbed.scene import WORLD, Scene
 from testbed.sensors.carrier import instants
 from testbed.types import Antennas, Reads
+from testbed.units import SPEED_OF_LIGHT, wrap_positive
 
 LEAST_COSINE = 0.05  # a beam hears nothing further off its axis than this
 NEAR = 1e-3  # m: nearer than this is as near
@@ -49,6 +51,7 @@ class LogDistanceConfig(Config):
 
     `beams`: none (all directions alike), all, or both: then there are two antennas at each place, one of each sort, with the same noise,
     so that methods on either are compared on the same trials; `beam_tags` are those that the second sort reads.
+    `carrier_mhz`: also report phase, of this one carrier, with noise of `phase_noise_rad`; left out, there is none.
     Each trial moves places and aims by `jitter_m` and `aim_jitter_m` times U(-1, 1) on each axis; the installer knows where to.
     """
 
@@ -59,6 +62,8 @@ class LogDistanceConfig(Config):
     reference_dbm: DecibelMilliwatts = -40.0
     path_loss_exponent: Annotated[float, Field(gt=0, le=12)] = 4.0
     sigma_db: Annotated[Decibels, Field(ge=0, le=40)] = 1.0
+    carrier_mhz: Annotated[float, Field(gt=0, le=1e5)] | None = None
+    phase_noise_rad: Annotated[float, Field(ge=0, le=3)] = 0.1
     beams: Literal["none", "all", "both"] = "none"
     beam_tags: Annotated[str, Field(min_length=1, max_length=200)] = "*"
     jitter_m: Point3 = (0.0, 0.0, 0.0)
@@ -96,8 +101,8 @@ class LogDistance:
         return self._described(*self._moved(root, trial))
 
     def frequencies(self) -> Array:
-        """None: the law has no wavelength."""
-        return np.empty(0)
+        """Its one carrier; none where it has no phase, for the law of levels has no wavelength."""
+        return np.empty(0) if self._config.carrier_mhz is None else np.array([1e6 * self._config.carrier_mhz])
 
     def sense(self, around: Surroundings, first_antenna: int) -> Sensed:
         """All reads of a trial, in the order of instants, antennas, tags. ValueError for a pattern that no tag fits."""
@@ -111,10 +116,11 @@ class LogDistance:
         read = np.isin(tag, self._tags(around, config.beam_tags)) if config.beams != "none" else np.ones(len(tag), dtype=bool)
         beam = self._is_beam[:, None]
         heard = ~beam | ((cosine > LEAST_COSINE) & read)
+        phase = self._phases(around, tag, distance)[:, self._place]
         distance = distance[:, self._place] / np.where(beam & heard, cosine, 1.0)
         rssi = config.reference_dbm - 10 * config.path_loss_exponent * np.log10(distance) + self._noise(around, tag, len(t))[:, self._place]
         k, m, which = np.nonzero(heard)
-        return Sensed({"reads": Reads(t=t[k], t_arrival=t[k], antenna=m + first_antenna, tag=tag[which], rssi=rssi[heard])})
+        return Sensed({"reads": Reads(t[k], t[k], m + first_antenna, tag[which], rssi=rssi[heard], phase=phase[heard])})
 
     def _tags(self, around: Surroundings, pattern: str) -> Array:
         ids = [str(id) for id in around.tagged.tags.id]
@@ -139,6 +145,16 @@ class LogDistance:
         key = keys_of(around.tagged.tags.id[tag])
         normal = draws.normal(np.arange(instants)[:, None, None], np.arange(len(self._places))[:, None], key)
         return self._config.sigma_db * normal
+
+    def _phases(self, around: Surroundings, tag: Array, distance: Array) -> Array:
+        """(K, places, tags) rad at distances (K, places, tags) m; NaN without a carrier."""
+        if self._config.carrier_mhz is None:
+            return np.full(distance.shape, np.nan)
+        place, key = np.arange(len(self._places))[:, None], keys_of(around.tagged.tags.id[tag])
+        offset = Counter(around.root, around.trial, f"sensors.{self._id}.phase_offset").uniform(place, key)
+        noise = Counter(around.root, around.trial, f"sensors.{self._id}.phase").normal(np.arange(len(distance))[:, None, None], place, key)
+        turns = 2 * distance * 1e6 * self._config.carrier_mhz / SPEED_OF_LIGHT
+        return wrap_positive(2 * np.pi * (offset - turns) + self._config.phase_noise_rad * noise)
 
     def _listed(self) -> tuple[Array, Array]:
         """(places, 3) m each: where they are, and what they look at (a metre along +x where they look nowhere)."""

@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from testbed.scenario import ScenarioError, from_dict
 from testbed.sensors.log_distance import LogDistanceConfig
 from testbed.simulate import Simulator
+from testbed.units import SPEED_OF_LIGHT, wrap
 
 PLACES = [([0.5, 3.0, 0.5], [4.0, 3.5, 1.5]), ([4.5, 2.5, 3.0], [2.5, 2.0, 0.5]), ([3.5, 1.5, 0.5], [2.5, 3.0, 1.5])]
 DOCUMENT = {
@@ -147,3 +148,31 @@ def test_what_does_not_fit_is_refused(fields, sentence):
 def test_a_pattern_that_no_tag_fits_is_an_error_that_names_the_sensor():
     with pytest.raises(ValueError, match="sensor gate: no tag is named 'lo', did you mean low"):
         trial(tags="lo")
+
+
+def test_phase_changes_by_two_ways_over_a_wave_length():
+    made = trial(carrier_mhz=900.0, phase_noise_rad=0.0)
+    where = made.target_states(np.arange(21) / 10)[:, 0, :3]
+    r = np.linalg.norm(where - PLACES[1][0], axis=1)
+    phase = reads(made, "gate.2", "low").phase
+    assert ((phase >= 0) & (phase < 2 * np.pi)).all()
+    turned = np.exp(1j * np.diff(phase)) / np.exp(-4j * np.pi * np.diff(r) * 900e6 / SPEED_OF_LIGHT)
+    np.testing.assert_allclose(turned, 1.0, atol=1e-6)
+    np.testing.assert_array_equal(made.recording.site.frequencies, [900e6])
+
+
+def test_a_link_has_an_offset_of_its_own_and_noise_moves_no_level():
+    quiet, noisy = trial(carrier_mhz=900.0, phase_noise_rad=0.0, sigma_db=1.0), trial(carrier_mhz=900.0, phase_noise_rad=0.3, sigma_db=1.0)
+    off = wrap(reads(noisy, "gate.1", "low").phase - reads(quiet, "gate.1", "low").phase)
+    assert 0.1 < off.std() < 0.6
+    np.testing.assert_array_equal(reads(noisy, "gate.1", "low").rssi, reads(quiet, "gate.1", "low").rssi)
+    np.testing.assert_array_equal(reads(trial(sigma_db=1.0), "gate.1", "low").rssi, reads(quiet, "gate.1", "low").rssi)
+    one, other = (reads(trial(carrier_mhz=900.0, phase_noise_rad=0.0, references=()), a, "ref0").phase[0] for a in ("gate.1", "gate.2"))
+    r = [np.linalg.norm(np.subtract([1, 1, 0.5], PLACES[i][0])) for i in (0, 1)]
+    assert abs(wrap(one - other + 4 * np.pi * (r[0] - r[1]) * 900e6 / SPEED_OF_LIGHT)) > 1e-3
+
+
+def test_without_a_carrier_there_is_no_phase():
+    made = trial()
+    assert np.isnan(made.recording.streams["reads"].phase).all()
+    assert not len(made.recording.site.frequencies)
