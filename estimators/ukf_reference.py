@@ -14,20 +14,28 @@ from estimators.heard import Heard
 from estimators.measurements import Linear, Piece
 from estimators.neighbours import enough_references, nearest
 from estimators.ukf import Ukf, UkfConfig
-from testbed.types import Event, Prior, RowRandom, Site, UpdateInfo
+from estimators.windows import Latest
+from testbed.quantity import Seconds
+from testbed.types import Array, Event, Prior, RowRandom, Site, UpdateInfo
 
 
 class UkfReferenceConfig(UkfConfig):
-    """`neighbours`: how many reference tags count; left out, as in the paper's tables, 3 with two antennas and 2 with more."""
+    """`neighbours`: how many reference tags count; left out, as in the paper's tables, 3 with two antennas and 2 with more.
+
+    A level says how a tag sounds for `memory_s`: antennas take turns, and one read alone is like any other. `every_s` is the least time
+    from one comparison with the references to the next, for what they say is as wrong a moment later; 0 compares at each snapshot.
+    """
 
     together: bool = True
     neighbours: Annotated[int, Field(ge=1, le=100)] | None = None
+    memory_s: Annotated[Seconds, Field(gt=0, le=3600)] = 2.0
+    every_s: Annotated[Seconds, Field(ge=0, le=3600)] = 0.0
 
 
 class UkfReference(Ukf):
     """With each snapshot the k nearest references' positions count as k measurements of the tag's own, with variance 1 / weight in m².
 
-    The references' levels are those of their newest snapshot; without any, the tag's own levels are taken alone.
+    Compared are the newest levels of the tag and of the references by each antenna; without any of these, its own are taken alone.
     Breaks between references: the weights say which is nearest, not how far it is, so a variance of metres² is the least there is.
     """
 
@@ -45,21 +53,31 @@ class UkfReference(Ukf):
 
     def start(self, prior: Prior) -> None:
         super().start(prior)
-        self._references = np.full((prior.rows, len(self._site.references), len(self._site.antennas)), np.nan)
+        references, antennas = len(self._site.references), len(self._site.antennas)
+        self._known = Latest(prior.rows, references, antennas)
+        self._own = Latest(prior.rows, antennas)
+        self._compared = np.full(prior.rows, -np.inf)
 
     def update(self, event: Event) -> UpdateInfo:
         if event.kind == "reference_snapshots":
-            self._references[event.row] = event.data.rssi
+            self._known.add(event.row, event.data.t, event.data.rssi)
             return UpdateInfo.accepted(len(event))
         return super().update(event)
 
     def _pieces(self, heard: Heard) -> list[Piece]:
+        return [self._levels(heard), self._neighbours(heard)]
+
+    def _neighbours(self, heard: Heard) -> Piece:
+        """The places of the k nearest references, NaN for those who have none, are not heard, or compared themselves just now."""
+        self._own.add(heard.row, heard.t, heard.by_antenna(len(self._site.antennas)))
         picked = self._hearing.antennas
-        levels = heard.by_antenna(len(self._site.antennas))[:, picked]
-        which, weight = nearest(levels, self._references[heard.row][:, :, picked], self._k)
-        position = np.where(np.isfinite(weight)[..., None], self._site.references.position[which], np.nan)
-        e = len(heard.row)
+        levels, known = (one.rssi(heard.row, heard.t, self._config.memory_s)[..., picked] for one in (self._own, self._known))
+        which, weight = nearest(levels, known, self._k)
+        due = heard.present & (heard.t - self._compared[heard.row] >= self._config.every_s - 1e-9)
+        said: Array = np.isfinite(weight) & due[:, None]
+        self._compared[heard.row[said.any(axis=1)]] = heard.t[said.any(axis=1)]
+        position = np.where(said[..., None], self._site.references.position[which], np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
             variance = np.where(weight > 0, 1.0 / weight, 1e12)
-        here = Linear(position.reshape(e, -1), np.tile(self._place, (self._k, 1)), np.repeat(variance, 3, axis=1))
-        return [self._levels(heard), here]
+        e = len(heard.row)
+        return Linear(position.reshape(e, -1), np.tile(self._place, (self._k, 1)), np.repeat(variance, 3, axis=1))

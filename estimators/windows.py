@@ -38,3 +38,25 @@ class Newest:
         time = self._time[rows]
         now = np.reshape(t, (-1, *(1,) * (time.ndim - 1)))
         return np.where(now - time <= memory, self._value[rows], np.nan)
+
+
+class Latest:
+    """The newest RSSI in arrays of one shape per row, such as (references, antennas), taken from snapshots with gaps.
+
+    A reader serves its antennas in turn, so that a snapshot often holds one level alone, and the others stand from before.
+    """
+
+    def __init__(self, rows: int, *shape: int) -> None:
+        self._value, self._time = np.full((rows, *shape), np.nan), np.full((rows, *shape), -np.inf)
+
+    def add(self, rows: Array, t: Array, rssi: Array) -> None:
+        """rssi (E, *shape) dBm of the rows (E,), heard at t (E,) s; NaN where nothing was."""
+        now = np.reshape(t, (-1, *(1,) * (rssi.ndim - 1)))
+        new = np.isfinite(measured(rssi)) & (now >= self._time[rows])
+        self._value[rows] = np.where(new, rssi, self._value[rows])
+        self._time[rows] = np.where(new, now, self._time[rows])
+
+    def rssi(self, rows: Array, t: Array, memory: float) -> Array:
+        """(E, *shape) dBm of the rows (E,): what was heard within `memory` s before t (E,), NaN elsewhere."""
+        now = np.reshape(t, (-1, *(1,) * (self._time.ndim - 1)))
+        return np.where(now - self._time[rows] <= memory, self._value[rows], np.nan)

@@ -123,6 +123,36 @@ def test_without_references_heard_the_tags_own_levels_are_taken_alone():
     np.testing.assert_allclose(a.mean, b.mean, atol=1e-12)
 
 
+def in_turn(made):
+    """The same reads, but each at a time of its own: antennas and tags take turns within a tenth of a second."""
+    reads = made.streams["reads"]
+    n = len(made.site.antennas) * (2 + len(made.site.references))
+    t = reads.t + 0.09 * (np.arange(len(reads)) % n) / n
+    made.streams["reads"] = reads.with_(t=t, t_arrival=t)
+    return made
+
+
+def test_references_are_compared_also_where_antennas_take_turns():
+    """As every real reader's do: a snapshot is one read, and the newest levels of the others are still how tags sound."""
+    flat = site(places=PLACES[[0, 2]])
+    where = np.array([2.0, 3.0, 0.5])
+    options = {"tags": "low", "start": (2.5, 2.5, 1.5), "gate": 0.999}
+    together, alone = recorded(where, at=flat), in_turn(recorded(where, at=flat))
+    knowing, without = tracked("ukf_reference", alone, **options), tracked("ukf", alone, **options)
+    assert error(knowing, where) < 0.6 * error(without, where)
+    forgetful = tracked("ukf_reference", alone, **options, memory_s=1e-4)
+    assert error(knowing, where) < error(forgetful, where)
+    assert error(knowing, where) < error(tracked("ukf", together, **options), where)
+
+
+def test_references_are_compared_no_more_often_than_told():
+    made, options = recorded(noise=1.2), {"tags": "low"}
+    always, never = tracked("ukf_reference", made, **options), tracked("ukf", made, **options)
+    once = tracked("ukf_reference", made, **options, every_s=3600)
+    np.testing.assert_allclose(once.mean[0], always.mean[0], atol=1e-12)
+    assert np.abs(once.mean[-1] - never.mean[-1]).max() < np.abs(always.mean[-1] - never.mean[-1]).max()
+
+
 def test_landmarc_puts_a_tag_among_its_neighbours():
     track = tracked("landmarc", recorded((2.4, 3.3, 0.5)), tags="low")
     assert error(track, (2.4, 3.3, 0.5)) < 1.0  # a step of the grid
@@ -255,6 +285,7 @@ def test_one_antenna_gone_deaf_leaves_a_vector_of_the_others(kind):
         ("landmarc", {"neighbours": 50}, "landmarc: 50 neighbours are wanted"),
         ("ukf_angle", {"measure": "power"}, "measure must be distance"),
         ("batch_map", {"smooth": False}, "smooth must be true"),
+        ("batch_map", {"phase_noise_rad": 0.1}, "batch_map: changes of phase need one carrier, and the site has 0"),
     ],
 )
 def test_what_a_method_can_not_work_with_is_refused_in_a_sentence(kind, options, sentence):
