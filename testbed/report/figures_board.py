@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator
 
 from testbed.compare import Pair, Side
 from testbed.leaderboard import Board, Entry, Place
@@ -103,9 +104,13 @@ def _drawn(entry: Entry) -> bool:
 def _costs(axes: Axes, place: Place, styles: Styles) -> None:
     there = [e for e in place.entries if _drawn(e)]
     front = sorted((e for e in there if e.front), key=lambda e: e.cost.mean)
-    steps = np.array([[1e3 * e.cost.mean, e.error.mean] for e in front]).reshape(-1, 2)
+    times = [1e3 * e.cost.mean for e in there]
+    left, right = min(times) / 2.5, max(times) * 2.5
+    top = max(e.error.high if np.isfinite(e.error.high) else e.error.mean for e in there) * 1.08
     axes.set_xscale("log")
-    axes.plot(steps[:, 0], steps[:, 1], drawstyle="steps-post", color=palette.FAINT, linewidth=1.2, zorder=1)
+    if front:
+        corners = [(front[0].cost.mean * 1e3, top), *((1e3 * e.cost.mean, e.error.mean) for e in front), (right, front[-1].error.mean)]
+        axes.plot(*np.transpose(corners), drawstyle="steps-post", color=palette.FAINT, linewidth=1.2, zorder=1)
     for e in there:
         x, y = 1e3 * e.cost.mean, e.error.mean
         x_reach = np.nan_to_num(1e3 * np.array([[min(e.cost.mean - e.cost.low, 0.9 * e.cost.mean)], [e.cost.high - e.cost.mean]]))
@@ -114,9 +119,9 @@ def _costs(axes: Axes, place: Place, styles: Styles) -> None:
         axes.errorbar([x], [y], xerr=x_reach, yerr=y_reach, linestyle="none", elinewidth=0.9, **look)  # pyright: ignore[reportArgumentType]
     if place.has_bound:
         axes.axhline(place.bound.mean, **BOUND)
-    times = [1e3 * e.cost.mean for e in there]
-    axes.set_xlim(min(times) / 2.5, max(times) * 2.5)
-    axes.set_ylim(0.0, max([e.error.high if np.isfinite(e.error.high) else e.error.mean for e in there]) * 1.08)
+    axes.set_xlim(left, right)
+    axes.set_ylim(0.0, top)
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(lambda v, _: f"{v:g}")
     axes.xaxis.set_minor_formatter(lambda v, _: "")
 
