@@ -73,39 +73,6 @@ class RoadGraph:
         return project(self.roads, position)
 
 
-def road_network(nodes: ArrayLike, segments: ArrayLike, one_way: ArrayLike | None = None) -> Roads:
-    """Roads of a map as others draw it: all its vertices (V, 2) m, lanes (S, 2) between them, which of them are one-way (S,) bool.
-
-    Vertices that no lane touches (corners of walls, doors) are left out, the others keep their order. Two one-way lanes that run against
-    each other are one road. ValueError, naming the place, for what `check_roads` refuses, in numbers of the map's own vertices and lanes.
-    """
-    places, lanes = np.array(nodes, dtype=np.float64).reshape(-1, 2), np.array(segments, dtype=np.int64).reshape(-1, 2)
-    single = np.zeros(len(lanes), dtype=bool) if one_way is None else np.array(one_way, dtype=bool)
-    if len(single) != len(lanes):
-        raise ValueError(f"roads: one_way speaks of {len(single)} lanes, there are {len(lanes)}")
-    drawn = Roads(places, lanes, single)
-    _ends_are_nodes(drawn)
-    _segments_are_distinct(drawn)
-    used = np.unique(lanes)
-    _hangs_together(drawn, used)
-    joined, two_way = _opposites_joined(lanes, single)
-    return Roads(places[used], np.searchsorted(used, joined).reshape(-1, 2), ~two_way)
-
-
-def _opposites_joined(lanes: Array, one_way: Array) -> tuple[Array, Array]:
-    """Lanes, the second of two opposite ones left out, and (S,) bool which of them are now two-way."""
-    index: dict[tuple[int, int], int] = {}
-    kept, two_way = [], []
-    for (a, b), single in zip(lanes.tolist(), one_way.tolist(), strict=True):
-        if (b, a) in index:
-            two_way[index[b, a]] = True
-            continue
-        index[a, b] = len(kept)
-        kept.append((a, b))
-        two_way.append(not single)
-    return np.array(kept, dtype=np.int64).reshape(-1, 2), np.array(two_way, dtype=bool)
-
-
 def project(roads: Roads, position: ArrayLike) -> tuple[Array, Array, Array]:
     """`RoadGraph.project` for a network as it is; it may be empty, everything is then NOWHERE."""
     p = np.asarray(position, dtype=np.float64)
@@ -165,8 +132,7 @@ def _segments_are_distinct(roads: Roads) -> None:
             taken[way] = i
 
 
-def _hangs_together(roads: Roads, among: Array | None = None) -> None:
-    """Of all nodes, or of those `among` (n,) them, ascending."""
+def _hangs_together(roads: Roads) -> None:
     part = np.arange(len(roads.nodes))
     for _ in range(len(roads.nodes)):
         lower = part.copy()
@@ -175,12 +141,12 @@ def _hangs_together(roads: Roads, among: Array | None = None) -> None:
         if np.array_equal(lower, part):
             break
         part = lower
-    asked = np.arange(len(part)) if among is None else among
-    apart = asked[part[asked] != part[asked[0]]] if len(asked) else asked
+    apart = np.flatnonzero(part != part[0]) if len(part) else part
     if len(apart):
-        first, i = asked[0], apart[0]
-        ends = f"from node {first} at {_place(roads.nodes[first])} to node {i} at {_place(roads.nodes[i])}"
-        raise ValueError(f"roads: no way leads {ends}: join the parts")
+        i = apart[0]
+        raise ValueError(
+            f"roads: no way leads from node 0 at {_place(roads.nodes[0])} to node {i} at {_place(roads.nodes[i])}: join the parts"
+        )
 
 
 def _place(point: Array) -> str:

@@ -1,5 +1,7 @@
 """The map-matching scenarios that ship: each can be built, and runs for a few seconds; the study's rows stand beside the paper's."""
 
+from pathlib import Path
+
 import pytest
 
 import testbed
@@ -83,3 +85,24 @@ def test_a_scenario_s_own_roads_are_driven_and_known_to_the_estimators():
     assert project(roads, place)[2].max() < 1e-6
     about = place - [4.5, 3.0]  # round and round against the clock, as the arrows say
     assert (about[:-1, 0] * about[1:, 1] - about[:-1, 1] * about[1:, 0] > 0).all()
+
+
+def test_the_lanes_of_a_building_map_are_driven_and_matched():
+    place = Path(__file__).parents[1] / "files" / "worlds" / "house.building.yaml"
+    document = {
+        "name": "house",
+        "seed": 1,
+        "trials": 1,
+        "duration_s": 30,
+        "world": {"kind": "building_map", "path": str(place)},
+        "actors": [{"id": "t", "kind": "trolley", "motion": "kinematic", "walk": {"speed_mps": 1}}],
+        "sensors": [{"id": "odometer", "kind": "odometry", "on": "t"}, {"id": "compass", "kind": "compass", "on": "t"}],
+        "targets": ["t"],
+        "estimators": [{"id": "grid", "kind": "mapmatch_grid", "cell_m": 0.2, "noise_mps": 0.1, "bias_range_mps": 0.1}],
+        "metrics": [{"kind": "settle_time"}],
+    }
+    result = testbed.run(document).document()
+    assert result["failures"] == []
+    found = result["points"][0]["estimators"]["grid"]
+    assert found["lost_runs"]["mean"] == 0
+    assert found["tracking"]["right"] > 0.9

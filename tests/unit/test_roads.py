@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from testbed import frames, rng
 from testbed.geometry import Roads
 from testbed.protocols import ActorPlan
-from testbed.roads import RoadGraph, check_roads, nearest_segment, project, road_network
+from testbed.roads import RoadGraph, check_roads, nearest_segment, project
 from testbed.route import Route
 from testbed.walk import RoadWalk
 from worlds.actors.forklift import Forklift
@@ -58,32 +58,6 @@ def test_one_way_roads_may_run_against_each_other_and_must_lead_out():
         RoadGraph(Roads(np.array(SQUARE[:2]), np.array([[0, 1]]), np.array([True])))
     with pytest.raises(ValueError, match="at least one segment"):
         RoadGraph(Roads(np.zeros((0, 2)), np.zeros((0, 2))))
-
-
-def test_a_map_s_lanes_become_roads_without_its_other_vertices():
-    # vertices 0 and 3 are corners of walls; 4 to 5 is drawn there and back
-    vertices = [[-9, -9], [0, 0], [4, 0], [7, 7], [4, 3], [0, 3]]
-    roads = road_network(vertices, [[1, 2], [2, 4], [4, 5], [5, 4], [5, 1]], [False, True, True, True, False])
-    np.testing.assert_array_equal(roads.nodes, [[0, 0], [4, 0], [4, 3], [0, 3]])
-    np.testing.assert_array_equal(roads.segments, [[0, 1], [1, 2], [2, 3], [3, 0]])
-    np.testing.assert_array_equal(roads.one_way, [False, True, False, False])
-    assert RoadGraph(roads).edges == 7
-    assert not road_network(vertices, [[1, 2]]).one_way.any()
-
-
-@pytest.mark.parametrize(
-    ("lanes", "one_way", "message"),
-    [
-        ([[1, 2], [4, 5]], None, r"no way leads from node 1 at \(0, 0\) to node 4 at \(4, 3\): join"),
-        ([[1, 2], [2, 1]], None, r"segment 1 between \(4, 0\) and \(0, 0\) is there already"),
-        ([[1, 2], [2, 2]], None, "segment 1 from node 2 to node 2"),
-        ([[1, 9]], None, r"segment 0 joins nodes \[1, 9\], there are nodes 0 to 5"),
-        ([[1, 2]], [True, False], "one_way speaks of 2 lanes, there are 1"),
-    ],
-)
-def test_a_map_s_lanes_that_are_no_network_are_named_by_its_own_numbers(lanes, one_way, message):
-    with pytest.raises(ValueError, match=message):
-        road_network([[-9, -9], [0, 0], [4, 0], [7, 7], [4, 3], [0, 3]], lanes, one_way)
 
 
 def test_ways_on_leave_the_head_and_never_go_back_but_from_a_dead_end():
