@@ -20,6 +20,7 @@ from worlds.importers.hall import check_materials, chosen, many, material, plain
 from worlds.importers.sdf_file import Model, SdfWorld
 from worlds.parts import Part
 
+MODEL_PATH = ("models", "../models", ".", "..")
 Patterns = Annotated[dict[str, str], Field(max_length=200)]
 
 
@@ -40,7 +41,7 @@ class Sdf(BaseHall):
 
     class Config(FileConfig):
         path: Annotated[str, Field(min_length=1, max_length=1000)]
-        model_path: Annotated[list[str], Field(min_length=1, max_length=20)] = Field(default_factory=lambda: ["models", "../models", ".", ".."])
+        model_path: Annotated[list[str], Field(min_length=1, max_length=20)] = Field(default_factory=lambda: list(MODEL_PATH))
         leave_out: Annotated[list[str], Field(max_length=200)] = Field(default_factory=list)
         drop_prefix: Annotated[str, Field(max_length=200)] = ""
         kinds: Patterns = Field(default_factory=dict)

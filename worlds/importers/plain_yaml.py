@@ -30,7 +30,8 @@ def plain_yaml(place: Path) -> Any:
     except YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f":{mark.line + 1}" if mark is not None else ""
-        raise WorldFileError(f"{place.name}{line}: is no YAML: {getattr(error, 'problem', None) or str(error)[:100]}") from None
+        problem = " ".join(str(getattr(error, "problem", None) or error).split())
+        raise WorldFileError(f"{place.name}{line}: is no YAML: {problem[:100]}") from None
     except (ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError) as error:
         if isinstance(error, WorldFileError):
             raise
