@@ -110,6 +110,11 @@ def method(study: Study) -> list[str]:
         "A trial is the unit: figures are first averaged over the targets and times of a trial, then over trials. "
         "Intervals are 95 % confidence intervals of the mean by Student's t; each holds for itself, not all of them together.",
     ]
+    if study.manifest.get("until"):
+        said.append(
+            f"Trials were added until {study.manifest['until']} was known. One stops when the spread happens to look small, so intervals "
+            "of that figure cover somewhat less often than 95 % (testbed/until.py says by how much)."
+        )
     if len(study.estimators) > 1:
         said.append(
             "All estimators got the same data, trial by trial: differences are taken within trials, and are known better than the means."
