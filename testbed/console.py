@@ -15,7 +15,7 @@ from testbed.doctor import Finding
 from testbed.evaluate import ClaimResult, Interval, Summary
 
 if TYPE_CHECKING:
-    from testbed.batch import RunResult
+    from testbed.result import RunResult
     from testbed.worker import Failure
 
 # column of the results -> heading; those that no row has a value of are left out

@@ -43,7 +43,8 @@ def keys_of(scenario: Scenario, libraries: Mapping[str, str]) -> Keys:
 
     Where a guide leads a person, each estimator makes its own trials, so all of them depend on all that the scenario says.
     """
-    fields = [name for name in scenario.__dataclass_fields__ if scenario.__dataclass_fields__[name].compare and name not in OUTSIDE_HASH]
+    named = {*OUTSIDE_HASH, "name", "title"}
+    fields = [name for name in scenario.__dataclass_fields__ if scenario.__dataclass_fields__[name].compare and name not in named]
     plain = {name: canonical(getattr(scenario, name)) for name in fields}
     methods = {"estimators": plain.pop("estimators"), "metrics": plain.pop("metrics")}
     makers = [("worlds", scenario.world), *(("actors", a) for a in scenario.actors), *(("sensors", s) for s in scenario.sensors)]

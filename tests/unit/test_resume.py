@@ -193,6 +193,12 @@ def test_a_guided_scenarios_estimators_stand_and_fall_together(code):
     assert keys_of(guided, LIBRARIES).world != before.world
 
 
+def test_a_title_and_what_is_expected_change_no_key():
+    plain = keys_of(scenario(), LIBRARIES)
+    other = keys_of(scenario(title="a=1", trials=3, expect={"ekf": {"availability": {"min": 0.5}}}), LIBRARIES)
+    assert (plain.world, plain.estimators) == (other.world, other.estimators)
+
+
 def test_another_library_is_another_key():
     assert keys_of(load("dock-gate"), {"numpy": "2"}) != keys_of(load("dock-gate"), {"numpy": "3"})
 
