@@ -196,7 +196,7 @@ def _told(case: Case) -> dict[str, Any] | None:
     if case.trial.walk is None:
         return None
     every = [one for one in instructions(case.trial.walk) if one.text]
-    return {"t": [round(one.t, 3) for one in every], "text": [one.text for one in every]}
+    return {"t": [one.t for one in every], "text": [one.text for one in every]}
 
 
 def _fewer(case: Case) -> tuple[Reads, str]:

@@ -170,7 +170,7 @@ def test_phases_in_the_report_lie_on_the_true_motion(case):
 
 def test_the_player_tells_what_was_told_and_when(case):
     told = words.instructions(case.trial.walk)
-    assert player._told(case) == {"t": [round(one.t, 3) for one in told], "text": [one.text for one in told]}
+    assert player._told(case) == {"t": [one.t for one in told], "text": [one.text for one in told]}
 
 
 def test_the_results_pool_the_cosine_over_all_steps(run):
