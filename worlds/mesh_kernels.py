@@ -14,13 +14,14 @@ from math import inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, uint64
 
 from testbed.columns import Array
 
 SURFACE = 1e-9  # m: less than this inside is touching, as in `worlds.ray_kernels`
 LEAF = 4  # triangles in a leaf
 DEPTH = 128  # nodes that wait while a tree is gone down; halving can't come to more than twice its height
+_PARALLEL = 1e100  # stands for 1 / 0
 _PAD = 1e-6  # m: bounds are wider by this, which covers rounding
 
 
@@ -68,24 +69,34 @@ def build(low, high, leaf, first_node, first_thing):
 
 
 @njit(cache=True)
-def _near(bounds, node, origin, way, begin, end):
-    """Whether the line from `begin` to `end` m along the unit vector `way` meets the bounds of a node."""
-    for axis in range(3):
-        low, high = bounds[node, axis] - origin[axis], bounds[node, 3 + axis] - origin[axis]
-        if abs(way[axis]) < 1e-15:
-            if low > 0.0 or high < 0.0:
-                return False
-            continue
-        a, b = low / way[axis], high / way[axis]
-        if a > b:
-            a, b = b, a
-        begin, end = max(begin, a), min(end, b)
-    return begin <= end
+def _inverse(way):
+    """1 / way, but finite where there is no way, so that 0 times it is 0."""
+    return 1.0 / way if abs(way) > 1e-15 else _PARALLEL
+
+
+@njit(cache=True)
+def _near(bounds, node, line, begin, end):
+    """Whether the line from `begin` to `end` m meets the bounds of a node. `line`: origin, and metres along it a metre of each axis."""
+    (x, y, z), (ix, iy, iz) = line
+    a, b = (bounds[node, 0] - x) * ix, (bounds[node, 3] - x) * ix
+    begin, end = max(begin, min(a, b)), min(end, max(a, b))
+    a, b = (bounds[node, 1] - y) * iy, (bounds[node, 4] - y) * iy
+    begin, end = max(begin, min(a, b)), min(end, max(a, b))
+    a, b = (bounds[node, 2] - z) * iz, (bounds[node, 5] - z) * iz
+    return max(begin, min(a, b)) <= min(end, max(a, b))
+
+
+@njit(cache=True)
+def _holds(bounds, node, point):
+    """Whether a point lies in the bounds of a node."""
+    x, y, z = point
+    low = bounds[node, 0] <= x and bounds[node, 1] <= y and bounds[node, 2] <= z
+    return low and x <= bounds[node, 3] and y <= bounds[node, 4] and z <= bounds[node, 5]
 
 
 @njit(cache=True)
 def _projection(way):
-    """Axes x, y, z with z the one that the line runs along most, and how much x and y change along it, a metre of z."""
+    """Axes x, y, z with z the one that the line runs along most, and how much x and y change along it, a metre of z; `way` along z."""
     z = 0
     for axis in range(1, 3):
         if abs(way[axis]) > abs(way[z]):
@@ -93,7 +104,7 @@ def _projection(way):
     x, y = (z + 1) % 3, (z + 2) % 3
     if way[z] < 0.0:  # keeps the turn of the corners
         x, y = y, x
-    return x, y, z, way[x] / way[z], way[y] / way[z]
+    return uint64(x), uint64(y), uint64(z), way[x] / way[z], way[y] / way[z], way[z]
 
 
 @njit(cache=True)
@@ -107,39 +118,42 @@ def _edge(ax, ay, bx, by):
 
 
 @njit(cache=True)
-def _met(c, origin, axes, way):
-    """(+1 where the line goes in through the triangle c (3, 3), -1 out, 0 where it misses; how far along it is, m)."""
-    x, y, z, sx, sy = axes
-    az, bz, cz = c[0, z] - origin[z], c[1, z] - origin[z], c[2, z] - origin[z]
-    ax, ay = c[0, x] - origin[x] - sx * az, c[0, y] - origin[y] - sy * az
-    bx, by = c[1, x] - origin[x] - sx * bz, c[1, y] - origin[y] - sy * bz
-    cx, cy = c[2, x] - origin[x] - sx * cz, c[2, y] - origin[y] - sy * cz
-    u, sign_u = _edge(bx, by, cx, cy)
-    v, sign_v = _edge(cx, cy, ax, ay)
+def _met(c, k, origin, axes):
+    """(+1 where the line goes in through the triangle c[k], -1 out, 0 where it misses; how far along it is, m)."""
+    x, y, z, sx, sy, along = axes
+    az, bz, cz = c[k, 0, z] - origin[z], c[k, 1, z] - origin[z], c[k, 2, z] - origin[z]
+    ax, ay = c[k, 0, x] - origin[x] - sx * az, c[k, 0, y] - origin[y] - sy * az
+    bx, by = c[k, 1, x] - origin[x] - sx * bz, c[k, 1, y] - origin[y] - sy * bz
     w, sign_w = _edge(ax, ay, bx, by)
+    cx, cy = c[k, 2, x] - origin[x] - sx * cz, c[k, 2, y] - origin[y] - sy * cz
+    u, sign_u = _edge(bx, by, cx, cy)
+    if sign_u != sign_w or sign_u == 0:
+        return 0, 0.0
+    v, sign_v = _edge(cx, cy, ax, ay)
     total = u + v + w
-    if sign_u == 0 or sign_u != sign_v or sign_v != sign_w or total == 0.0:
+    if sign_u != sign_v or total == 0.0:
         return 0, 0.0
     # one that is counter-clockwise along the line is seen from behind: there the line goes out
-    return -sign_u, (u * az + v * bz + w * cz) / total / way[z]
+    return -sign_u, (u * az + v * bz + w * cz) / total / along
 
 
 @njit(cache=True)
-def _meets(trees, mesh, origin, way, begin, end, at, side, stack):
+def _meets(trees, mesh, line, axes, begin, end, at, side, stack):
     """All places up to `end` where the line meets a mesh, in order along it: how many; and `at` and `side`, longer if need be."""
-    axes, met = _projection(way), 0
-    stack[0], waiting = trees.root[mesh], 1
+    met, waiting = 0, 1
+    stack[0] = trees.root[mesh]
     while waiting:
         waiting -= 1
-        node = stack[waiting]
-        if not _near(trees.bounds, node, origin, way, begin, end):
+        node = uint64(stack[uint64(waiting)])
+        if not _near(trees.bounds, node, line, begin, end):
             continue
+        first = uint64(trees.first[node])
         if trees.size[node] == 0:
-            stack[waiting], stack[waiting + 1] = trees.first[node], trees.first[node] + 1
+            stack[uint64(waiting)], stack[uint64(waiting + 1)] = first, first + uint64(1)
             waiting += 2
             continue
-        for k in range(trees.first[node], trees.first[node] + trees.size[node]):
-            sign, far = _met(trees.corners[k], origin, axes, way)
+        for i in range(trees.size[node]):
+            sign, far = _met(trees.corners, first + uint64(i), line[0], axes)
             if sign == 0 or far > end or far < begin:
                 continue
             if met == len(at):
@@ -186,22 +200,19 @@ def cast(trees, entry, per_metre, start, end, counts, losses, first, mesh, enter
     """
     at, side, waiting = np.empty(64), np.empty(64, dtype=np.int64), np.empty(DEPTH, dtype=np.int64)
     piece, stack = np.empty((64, 2)), np.empty(DEPTH, dtype=np.int64)
-    origin, way = np.empty(3), np.empty(3)
     for i in range(len(start)):
-        length = 0.0
-        for axis in range(3):
-            origin[axis], way[axis] = start[i, axis], end[i, axis] - start[i, axis]
-            length += way[axis] * way[axis]
-        length = sqrt(length)
+        origin = start[i, 0], start[i, 1], start[i, 2]
+        x, y, z = end[i, 0] - origin[0], end[i, 1] - origin[1], end[i, 2] - origin[2]
+        length = sqrt(x * x + y * y + z * z)
         if length <= SURFACE:
             continue
-        for axis in range(3):
-            way[axis] /= length
+        way = x / length, y / length, z / length
+        line, axes = (origin, (_inverse(way[0]), _inverse(way[1]), _inverse(way[2]))), _projection(way)
         waiting[0], left = trees.top, 1
         while left:
             left -= 1
             node = waiting[left]
-            if not _near(trees.bounds, node, origin, way, 0.0, length):
+            if not _near(trees.bounds, node, line, 0.0, length):
                 continue
             if trees.size[node] == 0:
                 waiting[left], waiting[left + 1] = trees.first[node], trees.first[node] + 1
@@ -210,8 +221,9 @@ def cast(trees, entry, per_metre, start, end, counts, losses, first, mesh, enter
             for thing in range(trees.first[node], trees.first[node] + trees.size[node]):
                 m = trees.mesh[thing]
                 closed = trees.closed[m]
-                # a line is inside where it has gone in more often than out: for that it is followed from before the segment
-                met, at, side = _meets(trees, m, origin, way, -inf if closed else 0.0, length, at, side, stack)
+                # a line is inside where it has gone in more often than out: if it may start there it is followed from before the segment
+                begin = -inf if closed and _holds(trees.bounds, trees.root[m], origin) else 0.0
+                met, at, side = _meets(trees, m, line, axes, begin, length, at, side, stack)
                 if len(piece) < len(at):
                     piece = np.empty((len(at), 2))
                 if closed:
