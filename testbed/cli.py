@@ -192,13 +192,15 @@ def _reported(folder: Path) -> Path | None:
 
 
 def _placed(points: list[Any]) -> list[str]:
-    """What each point puts into its hall. ScenarioError for a tag, an antenna or a camera that the hall has no place for."""
+    """What each point puts into its hall; on stderr, what became of a world's file. ScenarioError for a tag, an antenna or a camera that the hall has no place for."""
     from testbed.simulate import Simulator
 
     found = []
     for point in points:
         with Simulator(point.scenario, rays=False) as simulator:
             found.append(f"{len(simulator.tagged.tags)} tags, {len(simulator.aims.targets)} targets")
+            if point is points[0]:
+                typer.echo("".join(f"{point.scenario.name}: {note}\n" for note in simulator.notes), err=True, nl=False)
     return found
 
 

@@ -167,6 +167,15 @@ class Renders(Protocol):
         ...
 
 
+@runtime_checkable
+class Remarks(Protocol):
+    """A world made of somebody else's file, which says what became of it."""
+
+    def notes(self) -> Sequence[str]:
+        """Sentences: how many bodies, boxes and meshes there are, which of them are not what they should be, what was left out."""
+        ...
+
+
 # ---------------------------------------------------------------- sensors
 
 

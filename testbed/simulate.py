@@ -11,7 +11,7 @@ from testbed import frames
 from testbed.columns import Array, Table
 from testbed.known_tags import references
 from testbed.plugins import load
-from testbed.protocols import ActorPlan, PlacesAnew, PlaysBack, Sensed, Sensor, Surroundings, World
+from testbed.protocols import ActorPlan, PlacesAnew, PlaysBack, Remarks, Sensed, Sensor, Surroundings, World
 from testbed.quantity import FileMissing, Misplaced, UnusableFile
 from testbed.radio.materials import MATERIALS, losses
 from testbed.recording import Recording, Trial
@@ -56,6 +56,11 @@ class Simulator:
         except BaseException:
             self._world.close()
             raise
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the world has to say of the file that it was made of."""
+        return tuple(self._world.notes()) if isinstance(self._world, Remarks) else ()
 
     def _furnished(self) -> Scene:
         """The world's scene. ScenarioError for a file that it can't be made of; DataMissing where that isn't on this machine."""

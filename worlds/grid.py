@@ -14,7 +14,7 @@ from testbed.quantity import Metres
 from worlds.hall import BaseHall
 from worlds.importers.cells import boxes_of, octile
 from worlds.importers.files import FARTHEST, FileConfig, WorldFileError, read_text
-from worlds.importers.hall import check_materials, room, without_sides
+from worlds.importers.hall import check_materials, many, room, without_sides
 from worlds.parts import MATERIALS, Part
 
 
@@ -58,3 +58,7 @@ class Grid(BaseHall):
             room(self.parts(), self.config.path)
         rows, columns = self._full.shape
         return np.array([[0.0, 0, 0], [columns * self.config.cell_m, rows * self.config.cell_m, self.config.height_m]])
+
+    def notes(self) -> list[str]:
+        """In a sentence what the map became."""
+        return [f"{self._full.sum()} of {self._full.size} cells are full: {many(sum(len(p.boxes) for p in self.parts()), 'box', 'boxes')}"]

@@ -14,7 +14,7 @@ from testbed.quantity import Metres
 from worlds.hall import BaseHall
 from worlds.importers.cells import boxes_of, pgm
 from worlds.importers.files import MAX_MESH, FileConfig, WorldFileError, beneath, read, said
-from worlds.importers.hall import check_materials, room, without_sides
+from worlds.importers.hall import check_materials, many, room, without_sides
 from worlds.importers.plain_yaml import mapping, plain_yaml
 from worlds.parts import MATERIALS, Part
 
@@ -83,6 +83,13 @@ class Occupancy(BaseHall):
         turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
         around = corners @ turn + [x, y]
         return np.array([[*around.min(axis=0), 0.0], [*around.max(axis=0), self.config.height_m]])
+
+    def notes(self) -> list[str]:
+        """In a sentence what the map became."""
+        full, cell, _ = self._map
+        return [
+            f"{full.sum()} of {full.size} cells of {cell:g} m are full: {many(sum(len(p.boxes) for p in self.parts()), 'box', 'boxes')}"
+        ]
 
 
 def _is_number(value: Any) -> bool:

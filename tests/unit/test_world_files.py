@@ -262,3 +262,24 @@ def test_grey_maps_as_text_bytes_and_words():
     assert pgm(b"P5 3 2 999\n" + values.astype(">u2").tobytes(), "a")[0].tolist() == values.tolist()
     with pytest.raises(WorldFileError, match="3 x 2 cells are wanted, 5 are there"):
         pgm(b"P5 3 2 255\n12345", "a")
+
+
+def test_validate_says_what_became_of_a_file(tmp_path, capsys):
+    from testbed.cli import main
+
+    text = f"""name: arena
+seed: 1
+trials: 1
+duration_s: 1
+world: {{kind: grid, path: {FILES}/arena.map}}
+actors: [{{id: m, kind: marker, motion: parked, position_m: [3, 3], tags: [{{id: t, position_m: [0, 0, 1]}}]}}]
+sensors: [{{id: r, kind: rfid, antennas: [{{position_m: [3, 5, 1], aim_m: [3, 3, 1]}}]}}]
+estimators: [{{kind: centroid}}]
+"""
+    (tmp_path / "arena.yaml").write_text(text)
+    with pytest.raises(SystemExit) as done:
+        main(["validate", str(tmp_path / "arena.yaml")])
+    said = capsys.readouterr()
+    assert done.value.code == 0
+    assert said.err == "arena: 56 of 160 cells are full: 6 boxes\n"
+    assert "fine: 1 point(s)" in said.out
