@@ -9,7 +9,7 @@ what is held out is judged by whole runs (`testbed.calibrate.logistic_beta`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize
@@ -21,6 +21,7 @@ from testbed.columns import Array
 
 LEAST, LARGEST = 1e-4, 0.95  # of m (1 - m): the variance's limits. Below the first, no count of 100 queries tells it from 0
 FAR, WIDE = 10.0, 90.0  # m and degrees: the search is over d/FAR and θ/WIDE, so that its steps are alike
+NEAR, NARROW = 0.02, 0.5  # m and degrees: places that are no farther apart count as one, so that equal counts there are taken at once
 MOST_DEAD = 0.9
 DRAWN = 1e-3  # per block, by which c is drawn to what squared residuals say: it decides only where the variance is at its limits
 
@@ -62,9 +63,8 @@ def fit(blocks: Blocks, directional: bool = True) -> Fit:
     CalibrationError where the blocks can't tell: all at one distance (or, for the angle, all at one angle), or all read, or none.
     """
     _enough(blocks, directional)
-    rows, times = np.unique(
-        np.stack([blocks.distance.round(6), blocks.degrees.round(6), blocks.n, blocks.queries], axis=1), axis=0, return_counts=True
-    )
+    place = [np.round(blocks.distance / NEAR) * NEAR, np.round(blocks.degrees / NARROW) * NARROW]
+    rows, times = np.unique(np.stack([*place, blocks.n, blocks.queries], axis=1), axis=0, return_counts=True)
     u, w, n, queries = rows[:, 0] / FAR, rows[:, 1] / WIDE * directional, rows[:, 2], rows[:, 3]
     basis = np.stack([np.ones(len(u)), u, u * u, w, w * w], axis=1)
 
@@ -79,14 +79,14 @@ def fit(blocks: Blocks, directional: bool = True) -> Fit:
     bounds = [(None, None), (0.01, None), slope, (None, None), (None, None), (None, None), free, free, (0.0, MOST_DEAD)]
     found = min((minimize(cost, x, method="L-BFGS-B", bounds=bounds) for x in starts), key=lambda one: float(one.fun))
     b, k = found.x[:3], found.x[3:8]
-    m, v = _moments(found.x, u, w, basis)
-    return Fit(
+    made = Fit(
         logit=(float(b[0]), float(b[1] / FAR), float(b[2] / WIDE)),
         variance=(float(k[0]), float(k[1] / FAR), float(k[2] / FAR**2), float(k[3] / WIDE), float(k[4] / WIDE**2)),
         dead=float(found.x[8]),
         farthest_m=float(blocks.distance.max()),
-        log_likelihood=float(times @ _log_mass(m, v, found.x[8], n, queries)),
+        log_likelihood=0.0,
     )
+    return replace(made, log_likelihood=float(made.log_mass(blocks).sum()))
 
 
 def _enough(blocks: Blocks, directional: bool) -> None:
