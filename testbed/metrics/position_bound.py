@@ -34,7 +34,7 @@ class PositionBoundConfig(BaseConfig):
     acceleration_std_mps2        : constant from one instant of reads to the next
     position_std_m, velocity_std_mps, age_s : of the prior
     height_std_m                 : of a height that is known at every instant of reads; None for none
-    phase_noise_rad, longest_s   : of the phase of a read on the site's one carrier, whose changes within `longest_s` are known; None for none
+    phase_noise_rad, longest_s   : of a read's phase on the one carrier, whose changes within `longest_s` are known; None for none
     skip_s                       : times before it are left out
     """
 
@@ -64,12 +64,22 @@ class PositionBound:
 
     def __init__(self, config: PositionBoundConfig) -> None:
         self._config = config
+        self._trial: Trial | None = None  # the last one, and its bounds: all estimators of a trial are scored one after another
+        self._known: dict[int, tuple[float, float]] = {}
 
     def compute(self, track: Track, truth: Array, trial: Trial) -> dict[str, Array]:
         """Columns (B,), m."""
         order = {str(name): i for i, name in enumerate(trial.recording.targets.name)}
-        rows = [self._bounds(trial, order[str(name)]) for name in track.target]
+        rows = [self._once(trial, order[str(name)]) for name in track.target]
         return dict(zip(self.columns, np.array(rows, dtype=np.float64).reshape(-1, 2).T, strict=True))
+
+    def _once(self, trial: Trial, target: int) -> tuple[float, float]:
+        """The bounds do not depend on the estimator: worked out for the first one of a trial, and told again to the others."""
+        if self._trial is not trial:
+            self._trial, self._known = trial, {}
+        if target not in self._known:
+            self._known[target] = self._bounds(trial, target)
+        return self._known[target]
 
     def _bounds(self, trial: Trial, target: int) -> tuple[float, float]:
         reads = self._reads(trial, target)

@@ -123,19 +123,28 @@ def test_reads_without_phase_leave_what_levels_say():
     assert rms(silent, where, phase_noise_rad=0.05) == pytest.approx(rms(made, where), abs=1e-9)
 
 
-def bound(**options):
+def scored(metric, place=(2.0, 1.5, 1.0)):
+    """The bound of a smoother for a tag that stands at `place`."""
     made, _ = walk()
-    target = Targets(np.array(["tag"]), np.array(["t"]))
-    still = np.array([[2.0, 1.5, 1.0, 1, 0, 0, 0]])
-    trial = Trial(replace(made, targets=target), Truth(np.array([0.0, 3.0]), np.zeros((2, 0, 7))), np.array([-1]), still, {})
+    still = np.array([[*place, 1, 0, 0, 0]])
+    trial = Trial(made, Truth(np.array([0.0, 3.0]), np.zeros((2, 0, 7))), np.array([-1]), still, {})
     method = plugins.load("estimators", "centroid")
-    track = run(
-        [trial.recording], method, method.Config(), Prior(np.zeros(1), np.zeros((1, 6)), np.eye(6)[None]), np.zeros(1, dtype=np.uint64)
-    )
-    found = PositionBound(PositionBoundConfig(sigma_db=2.0, **options)).compute(track, np.zeros((31, 1, 6)), trial)
-    return float(found["position_bound_m.smoothed"][0])
+    prior = Prior(np.zeros(1), np.zeros((1, 6)), np.eye(6)[None])
+    track = run([made], method, method.Config(), prior, np.zeros(1, dtype=np.uint64))
+    return float(metric.compute(track, np.zeros((31, 1, 6)), trial)["position_bound_m.smoothed"][0])
+
+
+def bound(**options):
+    return scored(PositionBound(PositionBoundConfig(sigma_db=2.0, **options)))
 
 
 def test_the_bound_falls_with_phases_and_the_less_noisy_they_are():
     assert bound(phase_noise_rad=0.02) < bound(phase_noise_rad=0.5) < bound()
     assert bound(phase_noise_rad=3.0, longest_s=0.01) == pytest.approx(bound())
+
+
+def test_every_trial_has_a_bound_of_its_own():
+    metric = PositionBound(PositionBoundConfig(sigma_db=2.0))
+    near, far = scored(metric, (0.5, 0.5, 0.5)), scored(metric, (9.0, 9.0, 2.0))
+    assert far > 2 * near
+    assert scored(metric, (0.5, 0.5, 0.5)) == near
