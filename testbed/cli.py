@@ -192,7 +192,10 @@ def _reported(folder: Path) -> Path | None:
 
 
 def _placed(points: list[Any]) -> list[str]:
-    """What each point puts into its hall; on stderr, what became of a world's file. ScenarioError for a tag, an antenna or a camera that the hall has no place for."""
+    """What each point puts into its hall; on stderr, what became of a world's file.
+
+    ScenarioError for a tag, an antenna or a camera that the hall has no place for.
+    """
     from testbed.simulate import Simulator
 
     found = []
