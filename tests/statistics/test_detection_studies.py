@@ -1,7 +1,8 @@
 """The paper's claims at the sizes that they need, and the wrong builds of its filter that they tell from the right one.
 
 Common random numbers: all filters see the same trials. The seed is fixed; bands are those that independent builds of the same reading
-of the paper reach, the mean over the trials being what is compared.
+of the paper reach, the mean over the trials being what is compared. What goes beyond the paper is in scenarios
+(test_detection_scenarios.py).
 """
 
 from functools import cache
@@ -13,7 +14,6 @@ from estimators import detection_cloud
 from estimators.detection_asynchronous import DetectionAsynchronous
 from estimators.detection_centroid import DetectionCentroid
 from estimators.detection_cloud import Cloud
-from estimators.detection_geometry import DetectionGeometry
 from estimators.detection_model import looked_up
 from estimators.detection_synchronous import DetectionSynchronous
 from testbed.estimate import row_seeds, run
@@ -41,12 +41,12 @@ def made(trials, seconds=20, world=(), dead=(0.9, 17.1), **detection):
         return tuple(simulator.trial(k) for k in range(trials))
 
 
-def errors(trials, method, lag=0.0, **config):
+def errors(trials, method, **config):
     """(trials,) mean distance over slots 6 to T."""
     recordings = [t.recording for t in trials]
     config = method.Config.model_validate(config)
     track = run(recordings, method, config, draw_prior(PRIOR, trials, SEED), row_seeds(SEED, recordings, "x"), report_hz=1.0)
-    truth = np.concatenate([t.target_states(track.t - lag)[:, :, :2] for t in trials], axis=1)
+    truth = np.concatenate([t.target_states(track.t)[:, :, :2] for t in trials], axis=1)
     return np.linalg.norm(track.mean[..., :2] - truth, axis=-1)[track.t >= 6].mean(axis=0)
 
 
@@ -169,39 +169,3 @@ def test_b5_the_finer_the_grid_the_better():
     found = [errors(made(100, world=(("cells", cells),)), DetectionAsynchronous).mean() for cells in (8, 5, 4, 3)]
     assert found == sorted(found)
     assert len(set(found)) == 4
-
-
-@pytest.mark.study
-def test_beyond_the_paper():
-    """Silence that counts, four times the particles, looking back 5 s."""
-    trials = made(150)[:50]
-    assert errors(trials, DetectionAsynchronous, silence="all", particles=1000).mean() <= 1.06
-    assert errors(trials, DetectionGeometry, particles=1000).mean() <= 1.06
-    assert errors(trials, DetectionGeometry, particles=4000).mean() <= 1.04
-    assert errors(trials, DetectionGeometry, lag=5.0, lag_s=5.0).mean() <= 0.60
-
-
-@pytest.mark.study
-def test_late_reports_are_best_taken_by_replay():
-    """30 % of the reports one or two slots late: stamped with their arrival they mislead, dropped they are missed."""
-    world = (("cells", 8), ("speed_mps", 2.0))
-    in_time, late = made(50, 16, world), made(50, 16, world, late_share=0.3)
-    stamped = made(50, 16, world, late_share=0.3, stamped="arrival")
-    without = errors(in_time, DetectionAsynchronous, particles=500).mean()
-    dropped = errors(late, DetectionAsynchronous, particles=500).mean()
-    misled = errors(stamped, DetectionAsynchronous, particles=500).mean()
-    assert without < dropped < misled
-    assert misled - dropped > 0.25
-    replayed = errors(late, DetectionGeometry, particles=500)
-    given_up = errors(late, DetectionGeometry, particles=500, late_s=0.0)
-    assert (given_up - replayed).mean() > 0
-    assert replayed.mean() < dropped
-
-
-@pytest.mark.study
-def test_two_modes_follow_who_stops_and_goes():
-    trials = made(50, 40, (("stop_s", 6.0), ("go_s", 6.0)))
-    one = errors(trials, DetectionGeometry)
-    two = errors(trials, DetectionGeometry, stop_s=6.0, go_s=6.0)
-    assert two.mean() < 1.05
-    assert (one - two).mean() > 0.15
