@@ -20,7 +20,7 @@ HEIGHT = 2.6  # m of the ceiling
 class Office(BaseHall):
     """A room from (0, 0) to (length, width) with concrete walls.
 
-    Bodies: desk1 in the middle, across the straight way from (1.2, 2.2) to chair1, which stands at (4.2, 2.5) and bears a carton with a tag
+    Bodies: desk1 in the middle, across the straight way from (1.0, 2.2) to chair1, which stands at (4.2, 2.5) and bears a carton with a tag
     mount "box" 1 m above the floor, on the side that looks along -x; cabinet1, of steel, along the wall behind. With `desk: false`
     the way is free.
     """
@@ -59,8 +59,8 @@ def _chair() -> Part:
     built = Builder()
     built.box("plastic", (-0.2, -0.2, 0.42), (0.2, 0.2, 0.46))
     built.box("steel", (-0.03, -0.03, 0.0), (0.03, 0.03, 0.42))
-    built.box("carton", (-0.12, -0.15, 0.46), (0.12, 0.15, 1.1))
-    built.mount("box", (-0.12 - STAND_OFF, 0.0, 1.0), np.pi)
+    built.box("carton", (-0.2, -0.15, 0.46), (0.04, 0.15, 1.1))  # at the seat's edge, where somebody who comes near gets within reach of it
+    built.mount("box", (-0.2 - STAND_OFF, 0.0, 1.0), np.pi)
     return built.part("chair1", "chair", floor_pose(4.2, 2.5))
 
 
