@@ -283,3 +283,13 @@ estimators: [{{kind: centroid}}]
     assert done.value.code == 0
     assert said.err == "arena: 56 of 160 cells are full: 6 boxes\n"
     assert "fine: 1 point(s)" in said.out
+
+
+def test_the_readme_s_pictures_of_worlds_are_there_and_small():
+    root = Path(__file__).parents[2]
+    named = [f"world-{kind}.webp" for kind in ("sdf", "building-map", "occupancy", "grid")]
+    text = (root / "README.md").read_text()
+    for name in named:
+        assert f"](.readme/{name})" in text
+        assert 5_000 < (root / ".readme" / name).stat().st_size < 150_000
+    assert "python .readme/pictures_of_worlds.py" in text
