@@ -197,7 +197,7 @@ def crossed(p, x, band):
 
 @njit(cache=True, error_model="numpy")
 def turn_page(p, x):
-    """After a crossing was announced: whoever has set out, has set out where it is now, by the gate (in place)."""
+    """After a crossing was announced: whoever has set out on the other side has set out on the one where it is, by the gate (in place)."""
     for i in range(p.shape[2]):
         own, other = (2, 4) if x[i] < 0 else (4, 2)
         for m in range(5):
