@@ -6,7 +6,6 @@ The same scenario gives the same tables, value by value, whatever the number of 
 from __future__ import annotations
 
 import pickle
-import shutil
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
@@ -132,6 +131,7 @@ class _Run:
         self._contents = [pickle.dumps(point.scenario) for point in scenario.points()]
         self._parts: dict[tuple[int, tuple[int, ...]], BlockResult] = {}  # what is done: all of it without a store
         self._keys = keys(scenario) if store else []
+        self._total = self._done = 0  # trials, of the present look
 
     def result(self) -> RunResult:
         try:
@@ -209,8 +209,7 @@ class _Run:
             died = any(f.stage == "worker" for f in found.result.failures)  # for lack of memory, perhaps: worth another try
             if not died and all(archive.place(self._store.folder, block.point, t).is_dir() for t in wanted):
                 return None
-        for place in there:  # of another state of the code, or not of all estimators
-            shutil.rmtree(place)
+        self._store.drop(there)  # of another state of the code, or not of all estimators
         if found.result is None or not found.lacking or block.keep or there or guided_actor(self._scenario) is not None:
             return block
         return replace(block, only=found.lacking)
@@ -254,8 +253,9 @@ class _Run:
         if not self._store or not self._rule.worst:
             return
         again = []
+        worst = {point: self._rule.worst_of(rows, point) for point in range(len(self._contents))}
         for block in blocks:
-            wanted = [t for t in self._rule.worst_of(rows, block.point) if t in block.trials]
+            wanted = [t for t in worst[block.point] if t in block.trials]
             new = [t for t in wanted if not archive.place(self._store.folder, block.point, t).is_dir()]
             if new:
                 again.append(replace(block, keep=tuple(sorted(new)), keep_failed=False))

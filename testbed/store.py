@@ -147,6 +147,12 @@ class Store:
         with self._disk("read"):
             return self._parts.find(point, trials, keys)
 
+    def drop(self, recordings: Iterable[Path]) -> None:
+        """Delete recordings."""
+        with self._disk("delete a recording in"):
+            for place in recordings:
+                shutil.rmtree(place)
+
     # ------------------------------------------------------------ tables
 
     def merge(self, blocks: Iterable[tuple[int, Sequence[int]]], keys: Sequence[Keys]) -> BlockResult:
