@@ -313,7 +313,7 @@ def test_a_missing_world_is_data_missing_and_a_broken_one_a_mistake_with_its_pla
     document = {"name": "x", "seed": 1, "trials": 1, "duration_s": 1, "world": {"kind": "sdf", "path": "gone.sdf"}}
     document |= {"actors": [marker], "sensors": [reader], "estimators": [{"kind": "centroid"}]}
     with (
-        pytest.raises(DataMissing, match=r"world: path: there is no file 'gone\.sdf' here"),
+        pytest.raises(DataMissing, match=r"world: path: there is no file 'gone\.sdf' on this machine"),
         Simulator(from_dict(document, folder=tmp_path)),
     ):
         pass

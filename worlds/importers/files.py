@@ -50,7 +50,7 @@ class FileConfig(quantity.Config):
         except OSError as error:
             raise ValueError(f"path: {said(path)} can't be looked for: {(error.strerror or str(error)).lower()}") from None
         if not there:
-            raise quantity.FileMissing(f"path: there is no file {said(path)} here: {place.absolute().parent} doesn't hold it")
+            raise quantity.FileMissing(f"path: there is no file {said(path)} on this machine, it would be {place.resolve()}")
         return place
 
 
