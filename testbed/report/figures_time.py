@@ -141,7 +141,9 @@ def _strip_handles(aims: Sequence[Aim]) -> list[Patch]:
 
 def _error_caption(case: Case, where: str) -> str:
     said = [f"{where}. A gap in a line: the method has no estimate that it stands by."]
-    if all(aim.sight is None for aim in case.aims):
+    if not len(case.antennas) or not any(aim.tags for aim in case.aims):
+        pass  # nothing looks at anything
+    elif all(aim.sight is None for aim in case.aims):
         said.append("Lines of sight can't be made again here: the world's ray caster is not installed.")
     else:
         said.append("A line of sight is clear where the straight line from the antenna to one of the target's tags crosses nothing.")

@@ -37,6 +37,7 @@ def test_the_page_shows_curves_settle_times_clouds_and_roads(folder, monkeypatch
         assert f'id="{name}"' in text
     assert 'data-layer="roads"' in text
     assert "t = 0 s" in text
+    assert "ray caster" not in text  # no antenna looks for a tag
     assert "The cloud in motion" in text
     assert "right road segment" in text
     assert "runs that never settle" in text
