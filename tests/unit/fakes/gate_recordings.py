@@ -52,7 +52,7 @@ def walk(*points, speed=1.0, start=0.0):
     return at
 
 
-def recording(ways, duration, seed=1, trial=0, **gate):
+def recording(ways, duration, seed=1, trial=0, threshold=THRESHOLD, **gate):
     """One tag a way."""
     here, rng = site(len(ways), **gate), np.random.default_rng([seed, trial])
     a = here.antennas
@@ -63,12 +63,14 @@ def recording(ways, duration, seed=1, trial=0, **gate):
             t = t[t < duration]
             away = way(t) - a.position[antenna]
             distance = np.linalg.norm(away, axis=1)
+            if distance.min() > HALL - 2:  # another gate's: nothing comes through
+                continue
             w, _, _, z = a.quaternion[antenna]
             look = np.array([1 - 2 * z * z, 2 * w * z, 0.0])
             lobe = 10 ** (-a.front_to_back[antenna] / 10) + np.maximum(away @ look / distance, 0.0) ** 4
             level = -48.0 - 40 * np.log10(np.maximum(distance, 0.3)) + 20 * np.log10(lobe) + rng.normal(0, NOISE, len(t))
             phase = (4 * np.pi * FREQUENCY / SPEED_OF_LIGHT * distance + antenna + tag + rng.normal(0, 0.1, len(t))) % (2 * np.pi)
-            heard = level > THRESHOLD
+            heard = level > threshold
             rows += [(ti, antenna, tag, le, ph) for ti, le, ph in zip(t[heard], level[heard], phase[heard], strict=True)]
     rows.sort()
     columns = [np.array(column) for column in zip(*rows, strict=True)] if rows else [np.empty(0)] * 5
