@@ -97,10 +97,12 @@ class RowRandom:
 
     def uniform(self, n: int, rows: Array | None = None) -> Array:
         """(B, n) float64 in (0, 1); or (len(rows), n) for the rows given, which must be distinct."""
+        from testbed.mixing import row_uniforms  # compiled: not for those who only want a name's stream
+
         rows = np.arange(len(self.seed)) if rows is None else rows
-        index = self._drawn[rows][:, None] + np.arange(n, dtype=np.uint64)
+        first = self._drawn[rows]
         self._drawn[rows] += np.uint64(n)
-        return uniform_of(mix(self.seed[rows][:, None], index))
+        return row_uniforms(self.seed[rows], first, n)
 
     def normal(self, n: int, rows: Array | None = None) -> Array:
         """(B, n) float64 standard normal; or (len(rows), n)."""

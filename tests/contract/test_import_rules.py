@@ -25,7 +25,8 @@ LEAVES = {  # what each of the lowest modules may stand on, numpy and the standa
     "testbed/guidance.py": {"testbed.columns"},
     "testbed/gates.py": {"testbed.columns", "testbed.types"},  # which antennas hang together, as a site has them: no truth in it
     "testbed/roads.py": {"testbed.columns", "testbed.geometry"},
-    "testbed/rng.py": {"testbed.columns", "scipy.special"},
+    "testbed/mixing.py": {"numba"},
+    "testbed/rng.py": {"testbed.columns", "testbed.mixing", "scipy.special"},
     "testbed/types.py": {"testbed.columns", "testbed.geometry", "testbed.rng"},
 }
 OWN = {name: {p.stem for p in (ROOT / name).iterdir()} for name in PACKAGES}
