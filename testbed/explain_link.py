@@ -339,7 +339,7 @@ class _Seen:
         )
 
     def _face(self, box: int) -> str:
-        return "floor" if box < 0 else _body(self._scene, int(self._scene.boxes.body[box]))
+        return "floor" if box < 0 else _body(self._scene, int(self._scene.piece_body[box]))
 
 
 def _body(scene: Scene, body: int) -> str:

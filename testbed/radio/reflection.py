@@ -38,9 +38,10 @@ from testbed.columns import Array, Table, column
 from testbed.plugins import suggest
 from testbed.protocols import Obstruction
 from testbed.radio.materials import FREQUENCY, MATERIALS
+from testbed.radio.mesh_faces import rectangles
 from testbed.radio.sight import Obstacles
 from testbed.scene import Scene
-from testbed.solid import holder
+from testbed.solid import holder, mesh_holder
 
 ELECTRIC_CONSTANT = 8.8541878188e-12  # F/m (CODATA 2022)
 LARGE = 2.0  # m²: about the first Fresnel zone on a face half-way along 8 m, π λ d / 4; a smaller face reflects less than all
@@ -113,7 +114,7 @@ def mixed(te: Array, tm: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Reflectors(Table):
-    """Flat rectangles that reflect to the side of their normal. `box` is the scene's, -1 for the floor."""
+    """Flat rectangles that reflect to the side of their normal. `box` is the piece of the scene, a box or a mesh, -1 for the floor."""
 
     origin: Array = column("float64", ("N", 3), "m, the middle")
     normal: Array = column("float64", ("N", 3))
@@ -125,11 +126,14 @@ class Reflectors(Table):
 
 
 def reflectors(scene: Scene, min_area: float = LARGE, floor: str | None = "concrete") -> Reflectors:
-    """Faces of at least `min_area` m² of the boxes that never move, and the floor of the hall (`scene.bounds`) of material `floor`.
+    """Faces of at least `min_area` m² of what never moves, and the floor of the hall (`scene.bounds`) of material `floor`.
 
-    Faces that look out of the hall, or that other boxes cover, are left out. ValueError for a material that isn't known.
+    Faces that look out of the hall, or that other things cover, are left out, and those of meshes that are no rectangles. ValueError
+    for a material that isn't known.
     """
     faces = _faces(scene, min_area)
+    if len(scene.meshes):
+        faces = Reflectors.concatenate([faces, *_mesh_faces(scene, min_area)])
     faces = faces.take(_visible(faces, scene))
     if floor is None:
         return faces
@@ -168,16 +172,32 @@ def _faces(scene: Scene, min_area: float) -> Reflectors:
     return Reflectors.concatenate(parts)
 
 
+def _mesh_faces(scene: Scene, min_area: float) -> list[Reflectors]:
+    eta = permittivities(scene.materials)
+    return [
+        Reflectors(
+            origin=face.origin[None],
+            normal=face.normal[None],
+            u=face.u[None],
+            v=face.v[None],
+            half=face.half[None],
+            permittivity=eta[scene.meshes.material[[face.mesh]]],
+            box=np.array([len(scene.boxes) + face.mesh]),
+        )
+        for face in rectangles(scene.static_meshes(), min_area)
+    ]
+
+
 def _visible(faces: Reflectors, scene: Scene) -> Array:
-    """(N,) bool: the face looks into the hall, and some place on it isn't inside another box."""
+    """(N,) bool: the face looks into the hall, and some place on it isn't inside another thing."""
     corners = np.array([[(scene.bounds[i, 0], scene.bounds[j, 1], scene.bounds[k, 2])] for i, j, k in product((0, 1), repeat=3)])
     inward = np.einsum("cni,ni->cn", corners - faces.origin, faces.normal).max(axis=0, initial=-np.inf) > COVERED
-    boxes, seen = scene.static_boxes(), np.zeros(len(faces), dtype=bool)
+    boxes, meshes, seen = scene.static_boxes(), scene.static_meshes(), np.zeros(len(faces), dtype=bool)
     for across, along in product((0.0, -0.9, -0.45, 0.45, 0.9), repeat=2):
         open_ = np.flatnonzero(inward & ~seen)
         out = faces.origin[open_] + COVERED * faces.normal[open_]
         out += across * faces.half[open_, :1] * faces.u[open_] + along * faces.half[open_, 1:] * faces.v[open_]
-        seen[open_] = holder(out, boxes) < 0
+        seen[open_] = (holder(out, boxes) < 0) & (mesh_holder(out, meshes) < 0)
     return seen
 
 

@@ -40,6 +40,12 @@ class FileConfig(quantity.Config):
         folder = context.get("folder") if isinstance(context, dict) else None
         self._folder = None if folder is None else Path(folder)
 
+    def __eq__(self, other: object) -> bool:
+        """Whether the same is written, wherever the scenario lies."""
+        return type(self) is type(other) and all(getattr(self, name) == getattr(other, name) for name in type(self).model_fields)
+
+    __hash__ = None  # pyright: ignore[reportAssignmentType]  its lists and mappings have none
+
     def placed(self, path: str) -> Path:
         """Where a file lies that the section names. FileMissing where it isn't there, ValueError where that is no name of a file."""
         if "\0" in path:
