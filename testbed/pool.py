@@ -164,8 +164,8 @@ class _Queue:
         return bool(self._waiting)
 
     def take(self, jobs: int) -> list[Block]:
-        """The next task; towards the end no larger than what leaves something for each job."""
-        size = min(self._most, max(1, round(TASK_S / self._pace)), ceil(len(self._waiting) / jobs))
+        """The next task; towards the end they get smaller, so that the jobs end together."""
+        size = min(self._most, max(1, ceil(TASK_S / self._pace)), ceil(len(self._waiting) / (2 * jobs)))
         task = [self._waiting.popleft()]
         while self._waiting and len(task) < size and _alike(task[0], self._waiting[0]):
             task.append(self._waiting.popleft())

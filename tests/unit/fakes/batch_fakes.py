@@ -14,7 +14,8 @@ import numpy as np
 
 from testbed import archive
 from testbed.rng import Counter, keys_of
-from testbed.scenario import from_dict
+from testbed.scenario import from_dict, load
+from testbed.simulate import Simulator
 from testbed.worker import Block, BlockResult, Failure, stack
 
 TARGETS = ("tag1", "tag2")
@@ -63,6 +64,13 @@ def work(block: Block) -> BlockResult:
         rows += [figures(one.seed, int(one.duration_s) - 1, trial, id) | {"point": np.full(len(TARGETS), block.point)} for id in ids]
         timings.append({"point": np.array([block.point]), "trial": np.array([trial]), "seconds": np.array([time.perf_counter()])})
     return BlockResult(block.point, block.trials, stack(rows), stack(world), stack(timings), tuple(failures))
+
+
+def warm(_):
+    """Import and compile what a real trial needs, and leave time for other processes to take their share."""
+    with Simulator(load("empty-floor", {"trials": 1, "duration_s": 1})) as simulator:
+        simulator.trial(0)
+    time.sleep(0.05)
 
 
 def figures(seed, point, trial, estimator):
