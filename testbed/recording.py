@@ -52,6 +52,8 @@ class Trial:
     def target_states(self, t: Array) -> Array:
         """(K, targets, 6): true position (m) and velocity (m/s) of every target at times t (K,), world frame. Read-only.
 
+        NaN where the truth of a recorded log doesn't say it.
+
         The last answer is kept: all estimators of a trial start and are scored at the same times.
         """
         if not self._last or not np.array_equal(self._last[0][0], t):
@@ -70,6 +72,7 @@ class Trial:
             h = 1e-4  # s: a central difference carries the lever arm's turn as well
             ahead, behind = (mounted(self.truth, int(body), pose, t + s)[..., :3] for s in (h, -h))
             states[:, i, 3:] = (ahead - behind) / (2 * h)
+            states[~self.truth.known(int(body), t), i] = np.nan
         return states
 
 

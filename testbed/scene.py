@@ -85,12 +85,15 @@ class Scene:
         return self.meshes.with_(vertices=frames.to_world(pose, self.meshes.vertices))
 
 
+UNKNOWN = -2  # a zone of `Truth`: nobody knows where the body was then, its pose only joins what is known before and after
+
+
 @dataclass(frozen=True, eq=False)
 class Truth(Columns):
     """Poses of the moving bodies over time: (x, y, z, qw, qx, qy, qz) in the world frame.
 
     `pose(body, t)` interpolates and is *the* truth, for sensors and metrics alike. segment and zone are indices into the
-    scene's roads and zones at each time, -1 for none.
+    scene's roads and zones at each time, -1 for none; zone is UNKNOWN where a recorded truth does not say where the body was.
     """
 
     t: Array = column("float64", ("K",), "s, evenly spaced")
@@ -124,6 +127,15 @@ class Truth(Columns):
         value, _ = self._hermite(body, t)
         value[..., 3:] = frames.normalise(value[..., 3:])
         return value
+
+    def known(self, body: int, t: Array) -> Array:
+        """(K,) bool: whether it is known where the moving body was at times t (K,) s: at the samples before and after each."""
+        lost = self.zone[:, body] == UNKNOWN
+        if not lost.any():
+            return np.ones(len(t), dtype=bool)
+        after = np.clip(np.searchsorted(self.t, t - 1e-9), 0, len(self.t) - 1)
+        before = np.clip(np.searchsorted(self.t, t + 1e-9, side="right") - 1, 0, len(self.t) - 1)
+        return ~(lost[before] | lost[after])
 
     def velocity(self, body: ArrayLike, t: ArrayLike) -> Array:
         """Velocities (..., 3), m/s in the world frame, of the moving bodies at times `t`: the derivative of `pose`."""

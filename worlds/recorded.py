@@ -7,7 +7,8 @@
       fit: others
       site: {log: {kind: ble_mbd}, antennas: [...]}
 
-Trial k plays the k-th of the judged logs (or pieces of logs), and begins again after the last, with other draws of the estimators.
+The first `draws` trials play the first of the judged logs (or pieces of logs), each with other draws of the estimators, the next ones the
+second, and after the last it begins again. Trials of one log may share a block.
 Left out: what the true path does not say (which way a target looks), and bodies that stood in the way.
 """
 
@@ -28,7 +29,7 @@ from testbed.logs.library import Piece, pieces
 from testbed.logs.recordings import fitted_levels, recording_of, trial_of
 from testbed.logs.site import SiteModel, antennas_of
 from testbed.protocols import ActorPlan, Tagged
-from testbed.quantity import Hertz
+from testbed.quantity import Hertz, Seconds
 from testbed.recording import Trial
 from testbed.scene import WORLD, Body, Scene
 from testbed.tagging import Aims
@@ -48,6 +49,7 @@ class RecordedConfig(quantity.Config):
     pieces   : each log is cut into so many of equal length. judged : pattern over names of logs (or pieces: NAME.1, NAME.2)
     fit      : others: levels at 1 m of each antenna from all logs or pieces but the one that is judged, with `path_loss_exponent` fixed
     truth_hz : of the true path as it is kept
+    truth_gap_s : between true places farther apart in time nothing is scored; without it, straight lines join them all
     """
 
     protocol: Annotated[str, Field(min_length=10, max_length=2000)]
@@ -58,7 +60,9 @@ class RecordedConfig(quantity.Config):
     judged: Annotated[str, Field(min_length=1, max_length=200)] = "*"
     fit: Literal["nothing", "others"] = "nothing"
     path_loss_exponent: Annotated[float, Field(gt=0, le=12)] = 2.0
+    draws: Annotated[int, Field(ge=1, le=100_000)] = 1
     truth_hz: Annotated[Hertz, Field(gt=0, le=1000)] = 10.0
+    truth_gap_s: Annotated[Seconds, Field(gt=0, le=1e6)] | None = None
 
     @model_validator(mode="after")
     def _a_truth_each(self) -> RecordedConfig:
@@ -125,10 +129,10 @@ class Recorded(BaseHall):
     def played(self, trial: int) -> Trial:
         """The trial's log, with what its protocol lets the site know."""
         self._read()
-        piece = self._judged[trial % len(self._judged)]
+        piece = self._judged[trial // self.config.draws % len(self._judged)]
         recording = recording_of(trial, self.config.site, piece, self._antennas(piece))
         bad = {"bad_rows": float(len(piece.log.bad)), "rows": float(piece.log.rows), "log": float(self._pieces.index(piece))}
-        return trial_of(recording, piece, self.config.truth_hz, bad)
+        return trial_of(recording, piece, self.config.truth_hz, bad, self.config.truth_gap_s or np.inf)
 
     def _antennas(self, judged: Piece) -> Antennas:
         antennas = antennas_of(self.config.site.antennas)

@@ -10,11 +10,12 @@ import numpy as np
 from testbed import frames
 from testbed.columns import Array
 from testbed.logs.bad import LogError
+from testbed.logs.contents import Path3
 from testbed.logs.library import Piece, at, of_target
 from testbed.logs.read import Log
 from testbed.logs.site import SiteModel, antennas_of
 from testbed.recording import Recording, Trial
-from testbed.scene import WORLD, Truth
+from testbed.scene import UNKNOWN, WORLD, Truth
 from testbed.types import Antennas, References, Site, Tags, Targets
 
 LEAST_READS = 10  # of an antenna, below which no level is fitted to it
@@ -58,26 +59,39 @@ def recording_of(trial: int, site: SiteModel, piece: Piece, antennas: Antennas |
     return Recording(trial, piece.log.duration, site_of(site, piece.log, antennas), dict(piece.log.streams), targets, tags)
 
 
-def truth_of(recording: Recording, piece: Piece, hz: float) -> tuple[Truth, Array, Array]:
+def truth_of(recording: Recording, piece: Piece, hz: float, gap: float = np.inf) -> tuple[Truth, Array, Array]:
     """(truth, body of each target, pose of each in its body): every target is a body that goes along its true path, without turning.
 
+    Between samples more than `gap` s apart, before the first and after the last nobody knows where it was, and no metric counts it.
     LogError for a target without one.
     """
     t = np.arange(int(np.ceil(recording.duration * hz - 1e-9)) + 1) / hz
     poses = np.zeros((len(t), len(recording.targets), 7))
     poses[..., 3] = 1.0
+    zone = np.full(poses.shape[:2], -1)
     for i, name in enumerate(recording.targets.name):
         path = of_target(piece.truth, str(name), len(recording.targets) > 1)
         if path is None:
             raise LogError(f"{piece.name}: there is no true path of {name}; there are {', '.join(piece.truth) or 'none'}")
         poses[:, i, :3] = at(path, t)
+        zone[:, i] = np.where(known(path, t, gap), -1, UNKNOWN)
     bodies = tuple(str(name) for name in recording.targets.name)
-    return Truth(t, poses, bodies), np.arange(len(bodies)), np.tile(frames.IDENTITY, (len(bodies), 1))
+    return Truth(t, poses, bodies, zone=zone), np.arange(len(bodies)), np.tile(frames.IDENTITY, (len(bodies), 1))
 
 
-def trial_of(recording: Recording, piece: Piece, hz: float, stimulus: dict[str, float]) -> Trial:
+def known(path: Path3, t: Array, gap: float) -> Array:
+    """(K,) bool: whether a time is between two samples of a path at most `gap` s apart; anything is, for an infinite gap."""
+    if not np.isfinite(gap):
+        return np.ones(len(t), dtype=bool)
+    k = np.searchsorted(path.t, t, side="right")
+    before, after = path.t[np.clip(k - 1, 0, len(path.t) - 1)], path.t[np.clip(k, 0, len(path.t) - 1)]
+    on_one = np.abs(t - before) < 1e-9
+    return on_one | ((k > 0) & (k < len(path.t)) & (after - before <= gap))
+
+
+def trial_of(recording: Recording, piece: Piece, hz: float, stimulus: dict[str, float], gap: float = np.inf) -> Trial:
     """The recording with its truth."""
-    truth, body, pose = truth_of(recording, piece, hz)
+    truth, body, pose = truth_of(recording, piece, hz, gap)
     return Trial(recording, truth, body, pose, stimulus)
 
 

@@ -39,7 +39,8 @@ def _setting(study: Study, document: dict[str, Any], trials: int) -> str:
     names = list(study.estimators)
     by = f"{counted(len(names), 'estimator')} ({listed(names)})" if names else "no estimator"
     where = f" at each of {len(study.sets)} points of a sweep" if len(study.sets) > 1 else ""
-    begun = ("was" if trials == 1 else "were") + (" simulated" if study.summaries else " to be simulated")
+    made = "played back" if dict(document.get("world") or {}).get("kind") == "recorded" else "simulated"
+    begun = ("was" if trials == 1 else "were") + (f" {made}" if study.summaries else f" to be {made}")
     text = f"{counted(trials, 'trial')}{length}{where} {begun} from seed {study.manifest['seed']} and tracked by {by}."
     return capital(text)
 
@@ -106,7 +107,9 @@ def commands(study: Study) -> list[str]:
 
 def method(study: Study) -> list[str]:
     """How the figures come about, as far as this run has them."""
-    said = [
+    protocol = str(getattr(study.scenario.world.config, "protocol", "") if study.scenario else "")
+    said = [f"The data are logs of real readers. Protocol: {protocol}"] if protocol else []
+    said += [
         "A trial is the unit: figures are first averaged over the targets and times of a trial, then over trials. "
         "Intervals are 95 % confidence intervals of the mean by Student's t; each holds for itself, not all of them together.",
     ]
