@@ -45,7 +45,7 @@ def test_methods_are_compared_on_the_same_noise(result):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", ["papers/trolley", "papers/trolley-order", "papers/trolley-beyond", "papers/trolley-random-worlds", "papers/trolley-occlusion"])
+@pytest.mark.parametrize("name", ["trolley", "trolley-order", "trolley-beyond", "trolley-random-worlds", "trolley-occlusion"])
 def test_noisy_figures_and_the_order_of_the_methods_hold(name):
-    verdicts = testbed.check_scenario(name, jobs="auto")
+    verdicts = testbed.check_scenario(f"papers/{name}", jobs="auto")
     assert [str(v) for v in verdicts if not v.ok] == []
