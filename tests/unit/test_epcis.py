@@ -8,7 +8,9 @@ from datetime import UTC, datetime, timedelta, timezone
 
 import numpy as np
 import pytest
+from gate_recordings import recording, tracked, walk
 
+from estimators.gate_detector import GateDetector
 from testbed.export import epcis
 from testbed.gates import gates_of
 from testbed.types import Antennas, Decisions, Track
@@ -106,6 +108,15 @@ def test_a_document_keeps_the_structure_of_epcis_and_survives_json():
     assert breaches(found) == []
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     assert breaches(epcis.document([], created=START)) == []
+
+
+def test_what_a_detector_decides_comes_out_as_two_events_at_its_two_gates():
+    ways = [walk((-4.2, 9.0), (4.2, 9.2), start=1), walk((4.2, 0.0), (-4.2, 0.2), start=1), walk((1.0, 2.0), (1.0, 2.0))]
+    made = recording(ways, 10.0, gates=2)
+    found = epcis.events(tracked([made], GateDetector, hints=[3]), gates_of(made.site.antennas, 0.0), started=START)
+    said = [(e["bizStep"], e["epcList"][0].rpartition("/")[2], e["readPoint"]["id"].rpartition("/")[2]) for e in found]
+    assert sorted(said) == [("receiving", "tag0", "gate2"), ("shipping", "tag1", "gate1")]
+    assert breaches(epcis.document(found, created=START)) == []
 
 
 def test_in_is_receiving_and_out_is_shipping_at_the_nearest_gate_and_nothing_else_is_an_event():
