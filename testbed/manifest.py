@@ -32,6 +32,7 @@ def describe(scenario: Scenario, keep: str, command: Sequence[str] = (), until: 
         "scenario": {
             "name": scenario.name,
             "path": str(scenario.path) if scenario.path else None,
+            "folder": str(scenario.source.folder.resolve()) if scenario.source.folder else None,
             "hash": scenario.hash,
             "text": scenario.text,
             "document": scenario.document,
@@ -52,8 +53,8 @@ def describe(scenario: Scenario, keep: str, command: Sequence[str] = (), until: 
 
 def rebuilt(manifest: dict[str, Any]) -> Scenario:
     """The scenario that a manifest describes."""
-    path = manifest["scenario"].get("path")
-    return from_dict(manifest["scenario"]["document"], folder=Path(path).parent if path else None)
+    folder = manifest["scenario"].get("folder")
+    return from_dict(manifest["scenario"]["document"], folder=Path(folder) if folder else None)
 
 
 def versions(scenario: Scenario) -> dict[str, str]:

@@ -1,13 +1,17 @@
 """Worlds from files: what each file of tests/files/worlds becomes, body by body; units, axes, poses in poses, mounts, rays through gaps."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from testbed import frames
+from testbed.manifest import describe, rebuilt
 from testbed.radio.materials import losses
 from testbed.roads import RoadGraph
+from testbed.scenario import from_dict
+from testbed.simulate import Simulator
 from testbed.solid import mesh_holder
 from worlds.building_map import BuildingMap
 from worlds.grid import Grid
@@ -293,3 +297,20 @@ def test_the_readme_s_pictures_of_worlds_are_there_and_small():
         assert f"](.readme/{name})" in text
         assert 5_000 < (root / ".readme" / name).stat().st_size < 150_000
     assert "python .readme/pictures_of_worlds.py" in text
+
+
+def test_a_run_over_a_file_beside_its_scenario_can_be_made_again_from_anywhere(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "arena.map").write_text((FILES / "arena.map").read_text())
+    marker = {"id": "m", "kind": "marker", "motion": "parked", "position_m": [3, 3], "tags": [{"id": "t", "position_m": [0, 0, 1]}]}
+    reader = {"id": "r", "kind": "rfid", "antennas": [{"position_m": [3, 5, 1], "aim_m": [3, 3, 1]}]}
+    document = {"name": "x", "seed": 1, "trials": 1, "duration_s": 1, "world": {"kind": "grid", "path": "arena.map"}}
+    scenario = from_dict(
+        {**document, "actors": [marker], "sensors": [reader], "estimators": [{"kind": "centroid"}]}, folder=tmp_path / "here"
+    )
+    monkeypatch.chdir(tmp_path)
+    again = rebuilt(json.loads(json.dumps(describe(scenario, "none"))))
+    monkeypatch.chdir("/")
+    with Simulator(again, rays=False) as simulator:
+        assert len(simulator.scene.boxes) == 6
+    assert again.hash == scenario.hash
