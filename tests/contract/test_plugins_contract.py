@@ -29,7 +29,11 @@ CONFIGS = {  # of plug-ins that can't do without being told something
 }
 
 
-@pytest.mark.parametrize(("group", "name"), [(group, name) for group in plugins.GROUPS for name in plugins.names(group)])
+# a world that plays logs moves nothing: tests/unit/test_log_replay.py looks at it
+MADE = [(group, name) for group in plugins.GROUPS for name in plugins.names(group) if not hasattr(plugins.load(group, name), "played")]
+
+
+@pytest.mark.parametrize(("group", "name"), MADE)
 def test_registered_plug_in_keeps_its_contract(group, name):
     cls = plugins.load(group, name)
     config = cls.Config(**CONFIGS[name]) if name in CONFIGS else None

@@ -135,6 +135,8 @@ def test_scenes_and_kinematic_motion_do_without_pybullet():
         route = Route(waypoints_m=[(1, 1), (4, 1)])
         for name in plugins.names("worlds"):
             cls = plugins.load("worlds", name)
+            if any(field.is_required() for field in cls.Config.model_fields.values()):
+                continue  # made of a file
             actors = [ActorPlan(k, k, "kinematic", plugins.load("actors", k)(plugins.load("actors", k).Config()), route, floor_pose(1, 1))
                       for k in plugins.names("actors")]
             hall = cls(cls.Config())
