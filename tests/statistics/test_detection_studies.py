@@ -1,8 +1,8 @@
 """The paper's claims at the sizes that they need, and the wrong builds of its filter that they tell from the right one.
 
 Common random numbers: all filters see the same trials. The seed is fixed; bands are those that independent builds of the same reading
-of the paper reach, the mean over the trials being what is compared. What goes beyond the paper is in scenarios
-(test_detection_scenarios.py).
+of the paper reach, the mean over the trials being what is compared. The order of four grids (B5)
+and what goes beyond the paper are in scenarios (test_detection_scenarios.py).
 """
 
 from functools import cache
@@ -162,10 +162,3 @@ def test_b_rows_the_paper_s_own_setting(monkeypatch):
     assert (errors(made(150, world=(("antennas", 3),)), DetectionAsynchronous) - right).mean() > 0.2
     half = made(50, dead=(12.0, 12.0))
     assert (errors(half, DetectionAsynchronous, dead_alpha=12.0, dead_beta=12.0) - right[:50]).mean() > 0.25
-
-
-@pytest.mark.study
-def test_b5_the_finer_the_grid_the_better():
-    found = [errors(made(100, world=(("cells", cells),)), DetectionAsynchronous).mean() for cells in (8, 5, 4, 3)]
-    assert found == sorted(found)
-    assert len(set(found)) == 4
