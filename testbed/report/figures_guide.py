@@ -150,7 +150,7 @@ def told(walk: Walk, id: str, name: str, where: str) -> Drawing:
     every = [one for one in instructions(walk) if one.text]
     shown = every[:MOST_LINES]
     lines = [
-        f"{i + 1:3d}  {one.t:6.1f} s  {shorten(one.text + (f' ({one.answer})' if one.answer else ''), 74)}" for i, one in enumerate(shown)
+        f"{i + 1:3d}  {one.t:6.1f} s  {shorten(one.text + (f' ({one.answer})' if one.answer else ''), 96)}" for i, one in enumerate(shown)
     ]
     rows = -(-len(lines) // COLUMNS)
     title = f"What {shorten(id, 30)} told the person"
@@ -159,7 +159,8 @@ def told(walk: Walk, id: str, name: str, where: str) -> Drawing:
     axes.set_axis_off()
     axes.set(xlim=(0, COLUMNS), ylim=(max(rows, 1), 0))
     for i, line in enumerate(lines):
-        axes.text(i // rows, i % rows + 0.5, line, fontsize=7.5, va="center", family="DejaVu Sans")
+        written = axes.text(i // rows, i % rows + 0.5, line, fontsize=7.0, va="center", family="DejaVu Sans")
+        written.set_in_layout(False)  # long lines must not push the columns together
     settle(figure)
     more = f" {counted(len(every) - len(shown), 'more instruction')} left out." if len(every) > len(shown) else ""
     spoken = listed([one.text for one in shown[:12]], 12)
