@@ -176,3 +176,9 @@ def test_windows_that_can_not_be_are_refused():
     for wrong in ({"offset_s": [0.8, 0.2]}, {"offset_s": [0.2, 1.2]}, {"late_periods": [2, 1]}, {"queries": 0}):
         with pytest.raises(ValidationError):
             CountingConfig.model_validate(wrong)
+
+
+@pytest.mark.parametrize("wrong", [{"alpha": 0}, {"alpha": -1.0}, {"beta": 0}, {"beta": float("nan")}, {"alpha": 1e9}])
+def test_impossible_beta_parameters_are_refused_with_their_name(wrong):
+    with pytest.raises(ValidationError, match=f"dead_zone.{min(wrong)}"):
+        CountingConfig.model_validate({"dead_zone": wrong})
