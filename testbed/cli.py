@@ -12,7 +12,7 @@ from typing import Annotated, Any, TextIO
 import typer
 from rich.console import Console
 
-from testbed import cli_calibrate, cli_compare, cli_coverage, cli_export, cli_replay, cli_speak, console, plugins
+from testbed import cli_calibrate, cli_compare, cli_coverage, cli_export, cli_fidelity, cli_replay, cli_speak, console, plugins
 from testbed.evaluate import plain
 from testbed.scenario import ScenarioError
 
@@ -305,6 +305,7 @@ def explain(
 
 app.command("coverage")(cli_coverage.coverage)
 app.command("export")(cli_export.export)
+app.command("fidelity")(cli_fidelity.fidelity)
 app.command("compare")(cli_compare.compare)
 app.command("leaderboard")(cli_compare.leaderboard)
 app.command("calibrate")(cli_calibrate.calibrate)
