@@ -305,12 +305,11 @@ def test_a_run_over_a_file_beside_its_scenario_can_be_made_again_from_anywhere(t
     marker = {"id": "m", "kind": "marker", "motion": "parked", "position_m": [3, 3], "tags": [{"id": "t", "position_m": [0, 0, 1]}]}
     reader = {"id": "r", "kind": "rfid", "antennas": [{"position_m": [3, 5, 1], "aim_m": [3, 3, 1]}]}
     document = {"name": "x", "seed": 1, "trials": 1, "duration_s": 1, "world": {"kind": "grid", "path": "arena.map"}}
-    scenario = from_dict(
-        {**document, "actors": [marker], "sensors": [reader], "estimators": [{"kind": "centroid"}]}, folder=tmp_path / "here"
-    )
+    document |= {"actors": [marker], "sensors": [reader], "estimators": [{"kind": "centroid"}]}
+    scenario = from_dict(document, folder=tmp_path / "here")
     monkeypatch.chdir(tmp_path)
     again = rebuilt(json.loads(json.dumps(describe(scenario, "none"))))
     monkeypatch.chdir("/")
     with Simulator(again, rays=False) as simulator:
-        assert len(simulator.scene.boxes) == 6
+        assert len(simulator.scene.boxes) == 6 + 1  # the marker's own
     assert again.hash == scenario.hash
