@@ -64,7 +64,7 @@ def _two_tags(reads: Reads) -> bool:
     if min(len(weak), len(strong)) < LEAST_SHARE * len(level):
         return False
     a, b = phasor(weak), phasor(strong)
-    return min(abs(a), abs(b)) >= STEADY and abs(np.angle(a * b.conjugate())) > MOVED_RAD
+    return bool(min(abs(a), abs(b)) >= STEADY and abs(np.angle(a * b.conjugate())) > MOVED_RAD)
 
 
 def _of(reads: Reads, antenna: int) -> Reads:
