@@ -75,6 +75,7 @@ def _of_children():
 @pytest.mark.study
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="memory is read from /proc")
 def test_memory_is_flat_and_scheduling_costs_next_to_nothing(tmp_path, monkeypatch, capsys):
+    run(from_dict({**LIGHT, "trials": 4}), out=tmp_path / "warm", jobs=1, keep="none")  # to import costs the same for one trial
     busy = []
     learn = pool._Queue.learn
     monkeypatch.setattr(pool._Queue, "learn", lambda queue, done, seconds: (busy.append((seconds, len(done))), learn(queue, done, seconds)))
