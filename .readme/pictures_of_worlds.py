@@ -1,4 +1,7 @@
-"""Makes the README's pictures of worlds that others made: `python .readme/pictures_of_worlds.py`, with the files in ../shared/worlds, and PyBullet."""
+"""Makes the README's pictures of worlds that others made: `python .readme/pictures_of_worlds.py`.
+
+Needs the files in ../shared/worlds, and PyBullet.
+"""
 
 from __future__ import annotations
 

@@ -208,7 +208,7 @@ class Antennas(Table):
     pattern: Array = column(
         "float64", ("N", 181), "dB relative to boresight, at 0, 1, ..., 180° off it; NaN without a table", default=np.nan
     )
-    reference: Array = column("float64", unit="dBm, of a tag or beacon 1 m off on boresight as measured there; NaN if never", default=np.nan)
+    reference: Array = column("float64", unit="dBm, measured of a tag or beacon 1 m off on boresight; NaN if never", default=np.nan)
 
 
 @dataclass(frozen=True, eq=False)

@@ -205,7 +205,7 @@ MISTAKES = [
     (["world", "floor"], {"shape": "rough", "width_m": 1}, "world.floor.width_m: extra field"),
     (["world", "floor"], {}, "world.floor: shape is missing: it says what this is"),
     (["world", "gates"], True, "world.gates: a number is wanted, not true"),
-    (["actors", 0, "motion"], "kinetic", "actors.0.motion: 'kinetic' is none of dynamic, kinematic, parked, guided, did you mean kinematic?"),
+    (["actors", 0, "motion"], "rolling", "actors.0.motion: 'rolling' is none of dynamic, kinematic, parked, guided"),
     (["actors", 0, "motion"], None, "actors.0.motion: missing"),
     (["actors", 0, "route"], None, "actors.0: motion kinematic needs a route"),
     (["actors", 0, "rout"], {}, "actors.0.rout: extra field, did you mean route?"),
