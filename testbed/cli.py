@@ -288,7 +288,7 @@ def explain(
 ) -> None:
     """Say why a tag was read at a time of a trial, or why not: the link by path, what is in the way, what the reader was doing."""
     from testbed import explain as why
-    from testbed import explain_words as words
+    from testbed.explain import wording as words
 
     scenario, changed = why.of_run(source, sets or ())
     try:

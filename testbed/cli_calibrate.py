@@ -58,7 +58,7 @@ def write(found: Calibration, folder: Path) -> None:
     """calibration.json, measured.parquet and the figures as SVG. StoreError where the disk refuses."""
     from testbed import tables
     from testbed.archive import StoreError
-    from testbed.coverage_output import standalone
+    from testbed.coverage.output import standalone
 
     table, units = found.measured()
     try:

@@ -28,9 +28,10 @@ def coverage(
 
     Nothing is simulated: moving bodies stand where the scenario starts them, and fades are taken by their probability.
     """
-    from testbed import cli, coverage_output
+    from testbed import cli
     from testbed.api import scenario_of
     from testbed.coverage import CoverageError, covered
+    from testbed.coverage import output as coverage_output
     from testbed.progress import choose
     from testbed.report.figures_coverage import coverage_maps
     from testbed.simulate import Simulator

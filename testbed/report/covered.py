@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from testbed.coverage import DEAD, HEARD, CoverageError, covered
-from testbed.coverage_output import HEADS, LEFT_OUT, rows
+from testbed.coverage.output import HEADS, LEFT_OUT, rows
 from testbed.report.figures import Drawing
 from testbed.report.figures_coverage import coverage_maps
 from testbed.report.grids import Cell, Grid, Head

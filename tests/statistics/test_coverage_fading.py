@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from testbed.api import scenario_of
-from testbed.coverage import _asked
-from testbed.coverage_links import heard
+from testbed.coverage.links import heard
+from testbed.coverage.maps import _asked
 from testbed.radio.channel import Channel, Fixed
 from testbed.simulate import Simulator
 

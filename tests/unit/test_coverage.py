@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from testbed import coverage_links, frames
+from testbed import frames
 from testbed.coverage import DEAD, HEARD, CoverageError, coverage
-from testbed.coverage_links import answering
+from testbed.coverage import links as coverage_links
+from testbed.coverage.links import answering
 from testbed.radio import logistic_beta
 from testbed.radio.propagation import POLARISATION_DB
 from testbed.radio.rice import exceeding, mean_db

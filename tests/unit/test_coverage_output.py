@@ -12,10 +12,10 @@ import pytest
 from matplotlib import colormaps
 from PIL import Image
 
-from testbed import coverage_output
 from testbed.archive import StoreError
 from testbed.cli import main
 from testbed.coverage import coverage, covered
+from testbed.coverage import output as coverage_output
 from testbed.report.figures_coverage import _outline, _runs, coverage_maps
 from testbed.scenario import from_dict
 from testbed.simulate import Simulator

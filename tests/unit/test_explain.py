@@ -7,9 +7,9 @@ import pytest
 
 from testbed import frames
 from testbed.explain import NotThere, Reason, explain, look
-from testbed.explain_counts import block_of
-from testbed.explain_link import budget
-from testbed.explain_words import verdict
+from testbed.explain.counts import block_of
+from testbed.explain.link import budget
+from testbed.explain.wording import verdict
 from testbed.geometry import Boxes
 from testbed.protocols import Surroundings, Tagged
 from testbed.radio.channel import Channel, Fixed

@@ -4,7 +4,7 @@ import pytest
 
 import testbed
 from testbed.coverage import coverage
-from testbed.coverage_output import rows
+from testbed.coverage.output import rows
 from testbed.report import write
 from testbed.scenario import ScenarioError, from_dict
 from testbed.scenario.schema import json_schema

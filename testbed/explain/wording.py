@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from testbed.explain import Explanation, Reason, Serving, Visit
-from testbed.explain_counts import Block
-from testbed.explain_link import Budget, Obstacle, Passage, Path
+from testbed.explain.counts import Block
+from testbed.explain.explanation import Explanation, Reason, Serving, Visit
+from testbed.explain.link import Budget, Obstacle, Passage, Path
 from testbed.radio.propagation import POLARISATION_DB
 
 WORTH = 3.0  # dB: what takes less is no cause

@@ -4,7 +4,7 @@
 
 Every point of the grid has a tag of the model's gain in every direction (how it hangs is nobody's to know) and is visited by every
 antenna. What fades there is known but for the diffuse part, so the probability that a visit reads the tag is Marcum's Q function, not
-a share of samples (`testbed.coverage_links`); it is the share of places within a wavelength or two of the point at which it is read.
+a share of samples (`testbed.coverage.links`); it is the share of places within a wavelength or two of the point at which it is read.
 
 A point is read by an antenna where that probability is at least `HEARD`; over all antennas, each fading by itself, it is
 
@@ -26,7 +26,7 @@ from scipy.ndimage import find_objects, label
 
 from testbed import frames
 from testbed.columns import Array, Columns, column
-from testbed.coverage_links import Heard, heard
+from testbed.coverage.links import Heard, heard
 from testbed.plugins import suggest
 from testbed.progress import Progress, Silent
 from testbed.protocols import Surroundings, Tagged

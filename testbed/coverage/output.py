@@ -24,7 +24,7 @@ from rich.table import Table
 
 from testbed import tables
 from testbed.archive import StoreError
-from testbed.coverage import COUNTED, DEAD, HEARD, Coverage, DeadZone
+from testbed.coverage.maps import COUNTED, DEAD, HEARD, Coverage, DeadZone
 
 if TYPE_CHECKING:
     from testbed.report.figures import Drawing

@@ -1,6 +1,6 @@
 """Why wasn't this tag read, or why was it? The link at an instant, and what the reader was doing then.
 
-The trial is made again from its scenario, seed and number, which is the same trial; `testbed.explain_link` takes the link apart,
+The trial is made again from its scenario, seed and number, which is the same trial; `testbed.explain.link` takes the link apart,
 and the reader's diary says whom it asked when, and what became of the answers.
 """
 
@@ -17,8 +17,8 @@ import numpy as np
 
 from testbed.api import scenario_of
 from testbed.columns import Array
-from testbed.explain_counts import Block, block_of
-from testbed.explain_link import Budget, budget
+from testbed.explain.counts import Block, block_of
+from testbed.explain.link import Budget, budget
 from testbed.manifest import describe, differences, rebuilt
 from testbed.protocols import Surroundings
 from testbed.scenario import Scenario
