@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from testbed.plugins import suggest
 from testbed.progress import Progress, Silent
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from testbed.columns import Table
     from testbed.report.figures import Drawing
 
-MODELS = {"logistic_beta": "testbed.calibrate.logistic_beta"}  # name to module
+MODELS = {"logistic_beta": "testbed.calibrate.logistic_beta", "reader_log": "testbed.calibrate.reader_log"}  # name to module
 
 
 class CalibrationError(ValueError):
@@ -30,7 +30,8 @@ class CalibrationError(ValueError):
 class Request:
     """What is to be fitted to: a scenario that makes measurements (a file, or a name that ships), or whatever else the model reads.
 
-    block_s: counts are put together over so long. trials, seed and sets as in `testbed run`.
+    block_s: counts are put together over so long. trials, seed and sets as in `testbed run`. Of a log: site and truth are files,
+    ways 1 (a beacon's own transmitter) or 2 (backscatter) in the place of what its kind has, profile the reader that it is of.
     """
 
     source: str
@@ -39,6 +40,10 @@ class Request:
     sets: Sequence[str] = ()
     block_s: float = 1.0
     progress: Progress = field(default_factory=Silent)
+    site: str | None = None
+    truth: str | None = None
+    ways: int | None = None
+    profile: str | None = None
 
 
 class Calibration(Protocol):
@@ -58,6 +63,15 @@ class Calibration(Protocol):
 
     def drawings(self) -> Sequence[Drawing]:
         """Figures of what was measured and of the fit."""
+        ...
+
+
+@runtime_checkable
+class Files(Protocol):
+    """A calibration that writes files of its own, such as sections of a scenario."""
+
+    def files(self) -> dict[str, str]:
+        """Texts by name."""
         ...
 
 
