@@ -15,6 +15,7 @@ Left out: what the true path does not say (which way a target looks), and bodies
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Annotated, Literal
 
@@ -25,6 +26,7 @@ from testbed import quantity
 from testbed.columns import Array
 from testbed.geometry import Boxes, Mounts
 from testbed.logs.bad import LogError
+from testbed.logs.decisions import StillModel, judged
 from testbed.logs.library import Piece, pieces
 from testbed.logs.recordings import fitted_levels, recording_of, trial_of
 from testbed.logs.site import SiteModel, antennas_of
@@ -50,6 +52,7 @@ class RecordedConfig(quantity.Config):
     fit      : others: levels at 1 m of each antenna from all logs or pieces but the one that is judged, with `path_loss_exponent` fixed
     truth_hz : of the true path as it is kept
     truth_gap_s : between true places farther apart in time nothing is scored; without it, straight lines join them all
+    still    : tags that stand still, and what was so: decisions about them are figures of the world (`testbed.logs.decisions`)
     """
 
     protocol: Annotated[str, Field(min_length=10, max_length=2000)]
@@ -63,11 +66,16 @@ class RecordedConfig(quantity.Config):
     draws: Annotated[int, Field(ge=1, le=100_000)] = 1
     truth_hz: Annotated[Hertz, Field(gt=0, le=1000)] = 10.0
     truth_gap_s: Annotated[Seconds, Field(gt=0, le=1e6)] | None = None
+    still: StillModel | None = None
 
     @model_validator(mode="after")
     def _a_truth_each(self) -> RecordedConfig:
         if self.truths and len(self.truths) != len(self.logs):
             raise ValueError(f"there are {len(self.logs)} logs and {len(self.truths)} truths: give one for each log, or none")
+        if self.still is not None:
+            if self.pieces > 1:
+                raise ValueError("still speaks of whole logs: leave pieces out")
+            self.still.check(self.site, len(self.logs))
         return self
 
 
@@ -132,6 +140,10 @@ class Recorded(BaseHall):
         piece = self._judged[trial // self.config.draws % len(self._judged)]
         recording = recording_of(trial, self.config.site, piece, self._antennas(piece))
         bad = {"bad_rows": float(len(piece.log.bad)), "rows": float(piece.log.rows), "log": float(self._pieces.index(piece))}
+        if self.config.still is not None:
+            which = self._pieces.index(piece)
+            bad |= judged(self.config.still, self.config.site, self._pieces, which)
+            piece = replace(piece, truth=self.config.still.paths(which, piece.log.duration) | piece.truth)
         return trial_of(recording, piece, self.config.truth_hz, bad, self.config.truth_gap_s or np.inf)
 
     def _antennas(self, judged: Piece) -> Antennas:

@@ -1,94 +1,81 @@
-"""What an estimator announces reaches the track, with its row, however rows are put together, taken apart and kept."""
+"""Decisions about tags that stand still as figures of a recorded world: right ones, wrong ones, and what is refused."""
 
-from __future__ import annotations
-
-from typing import ClassVar
+import json
 
 import numpy as np
 import pytest
 
-from testbed import tables
-from testbed.checks import samples
-from testbed.estimate import run
-from testbed.quantity import Config
-from testbed.types import Estimate, Prior, UpdateInfo
+import testbed
+from testbed.expectations import check_scenario
+from testbed.scenario import DataMissing, ScenarioError, find, from_dict
+
+WAVE = 299792458.0 / 866.3e6
+ANTENNAS = [{"id": "left", "position_m": [-0.1, 0, 1]}, {"id": "right", "position_m": [0.1, 0, 1]}]
+PLACES = {"a": [[-0.1, 1, 1], [0.1, 1, 1]], "b": [[0.05, 1, 1], [0.05, 1, 1]]}
 
 
-class Herald:
-    """Announces every third read of a row, and believes nothing."""
-
-    Config: ClassVar[type[Config]] = Config
-    consumes: ClassVar[frozenset[str]] = frozenset({"reads"})
-
-    def __init__(self, config, site, rng) -> None:
-        self._said: list[tuple[int, float, str, float]] = []
-
-    def start(self, prior: Prior) -> None:
-        self._heard, self._said = np.zeros(prior.rows, dtype=int), []
-
-    def predict(self, t) -> None:
-        pass
-
-    def update(self, event) -> UpdateInfo:
-        self._heard[event.row] += 1
-        for row, t in zip(event.row, event.data.t, strict=True):
-            if self._heard[row] % 3 == 0:
-                self._said.append((int(row), float(t), "in" if self._heard[row] % 2 else "out", 0.995))
-        return UpdateInfo.accepted(len(event))
-
-    def estimate(self) -> Estimate:
-        rows = len(self._heard)
-        return Estimate(("x",), np.zeros((rows, 1)), np.ones((rows, 1, 1)), np.zeros(rows))
-
-    def decisions(self):
-        return list(self._said)
+def written(folder, n, twin=False):
+    """A log of tags at PLACES whose phase grows with distance; with a twin, a second tag answers as b, 6 dB weaker."""
+    rows = ["t,antenna,tag,rssi,phase,channel"]
+    for tag, places in PLACES.items():
+        for antenna in ANTENNAS:
+            d = float(np.linalg.norm(np.array(places[n]) - antenna["position_m"]))
+            for k in range(20):
+                other = twin and tag == "b" and k % 2
+                phase = (4 * np.pi * d / WAVE + (1.5 if other else 0)) % (2 * np.pi)
+                rows.append(f"{0.1 * k + 0.01 * len(tag)},{antenna['id']},{tag},{-56 if other else -50},{phase},0")
+    path = folder / f"log{n}.csv"
+    path.write_text("\n".join(rows) + "\n")
+    return str(path)
 
 
-def tracked(recordings):
-    rows = sum(len(r.targets) for r in recordings)
-    prior = Prior(np.zeros(rows), np.zeros((rows, 6)), np.tile(np.eye(6), (rows, 1, 1)))
-    return run(recordings, Herald, Herald.Config(), prior, np.arange(rows, dtype=np.uint64))
+def scenario(folder, twin=False, **still):
+    said = {"between": ["left", "right"], "places_m": PLACES, "moved": {"a": True, "b": False}, "two_tags": ["b"] if twin else [], **still}
+    site = {"log": {"kind": "tidy_csv"}, "carriers_mhz": [866.3], "antennas": ANTENNAS, "tags": [{"id": "a"}, {"id": "b"}]}
+    logs = [written(folder, n, twin) for n in (0, 1)]
+    world = {"kind": "recorded", "protocol": "nothing is fitted", "logs": logs, "site": site | {"targets": [{"id": "a", "tags": ["a"]}]}}
+    return {"name": "still", "seed": 1, "trials": 2, "duration_s": 3, "world": {**world, "still": said}}
 
 
-def said(track, row):
-    own = track.decisions.take(track.decisions.row == row)
-    return list(zip(own.t.tolist(), own.what.tolist(), own.probability.tolist(), strict=True))
+def figures(document):
+    found = testbed.run(document).document()["points"][0]["world"]
+    return {
+        name: found[name]["mean"] if isinstance(found[name], dict) else found[name] for name in ("side_right", "moved_right", "epc_right")
+    }
 
 
-@pytest.fixture(scope="module")
-def two():
-    """The same recording twice, at sites that a survey found differently: two estimator objects, one track."""
-    first = samples.recording(duration=2.0)
-    moved = first.site.antennas.with_(position=first.site.antennas.position + 0.1)
-    second = samples.recording(duration=2.0)
-    object.__setattr__(second.site, "antennas", moved)
-    return first, second
+def test_right_decisions_are_right(tmp_path):
+    assert figures(scenario(tmp_path)) == {"side_right": 1, "moved_right": 1, "epc_right": 1}
 
 
-def test_decisions_reach_the_track_by_row(two):
-    track = tracked([two[0]])
-    assert len(track.decisions) > 5
-    assert (np.diff(track.decisions.row) >= 0).all()
-    assert set(track.decisions.what) == {"in", "out"}
-    for row in range(len(track.target)):
-        t = [t for t, _, _ in said(track, row)]
-        assert t == sorted(t)
+def test_what_was_otherwise_makes_the_same_decisions_wrong(tmp_path):
+    assert figures(scenario(tmp_path, places_m={"a": PLACES["a"][::-1]}))["side_right"] == 0
+    assert figures(scenario(tmp_path, moved={"a": False, "b": False}))["moved_right"] == 0.5
+    assert figures(scenario(tmp_path, two_tags=["a"]))["epc_right"] == 0.5
 
 
-def test_rows_of_several_sites_keep_their_decisions(two):
-    together, alone = tracked(list(two)), tracked([two[1]])
-    first = len(two[0].targets)
-    for row in range(len(alone.target)):
-        assert said(together, first + row) == said(alone, row)
+def test_two_tags_with_one_epc_are_told(tmp_path):
+    assert figures(scenario(tmp_path, twin=True, places_m={"a": PLACES["a"]}, moved={"a": True}))["epc_right"] == 1
 
 
-def test_some_rows_of_a_track_have_their_own_decisions(two):
-    track = tracked([two[0]])
-    some = track.take(np.array([1, 2]))
-    assert [said(some, 0), said(some, 1)] == [said(track, 1), said(track, 2)]
+@pytest.mark.parametrize(
+    ("still", "said"),
+    [
+        ({"between": ["left", "wright"]}, "no antenna 'wright'"),
+        ({"between": ["left", "left"]}, "two antennas are wanted"),
+        ({"moved": {"c": True}}, "no tag 'c'"),
+        ({"places_m": {"a": [[0, 0, 0]]}}, "1 places, and there are 2 logs"),
+    ],
+)
+def test_what_does_not_fit_is_refused(tmp_path, still, said):
+    with pytest.raises(ScenarioError, match=said):
+        from_dict(json.loads(json.dumps(scenario(tmp_path, **still))))
 
 
-def test_decisions_are_kept_in_files(two, tmp_path):
-    track = tracked([two[0]])
-    tables.write(track, tmp_path / "herald.parquet")
-    assert tables.read(tmp_path / "herald.parquet").decisions.equals(track.decisions)
+def test_the_three_decisions_on_the_real_logs():
+    try:
+        verdicts = check_scenario(find("real/zebra-still-tags"))
+    except DataMissing as missing:
+        pytest.skip(str(missing))
+    assert len(verdicts) == 3
+    assert [str(v) for v in verdicts if not v.ok] == []
