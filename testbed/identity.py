@@ -1,11 +1,12 @@
 """What a figure depends on, as a key: the same key, the same figure. By it a run that goes on knows what is done and what changed.
 
-The key of what happened in a trial is a hash of the scenario without its estimators and metrics, the seed, the libraries, and the
-sources of the simulation and of the plug-ins that it names. An estimator's key adds its section, the metrics, and the sources of
+The key of what happened in a trial is a hash of the scenario without its estimators and metrics, the contents of the files that its
+world is made of (maps, models and their meshes, logs; tables of tags and patterns are part of the scenario), the seed, the libraries,
+and the sources of the simulation and of the plug-ins that it names. An estimator's key adds its section, the metrics, and the sources of
 these and of the driver. Sources are the modules that a module imports, and those that these import, as far as they belong to the
 testbed or to a plug-in's package: found by reading, not importing. So a change of a report's page, or of another estimator, changes no key.
 
-Left out: files that are no Python, and code that is found by other ways than an import statement or a plug-in's name.
+Left out: other files that plug-ins read, and code that is found by other ways than an import statement or a plug-in's name.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from pathlib import Path
 from typing import Any
 
 from testbed.guided.section import guided_actor
-from testbed.plugins import origin
+from testbed.plugins import load, origin
+from testbed.protocols import MadeOfFiles
 from testbed.scenario import Scenario, Section
 from testbed.scenario.scenario import OUTSIDE_HASH, canonical
 
@@ -50,6 +52,7 @@ def keys_of(scenario: Scenario, libraries: Mapping[str, str]) -> Keys:
     makers = [("worlds", scenario.world), *(("actors", a) for a in scenario.actors), *(("sensors", s) for s in scenario.sensors)]
     scorers = [("metrics", section) for section in scenario.metrics]
     content = {"scenario": plain, "seed": scenario.seed, "libraries": dict(libraries)}
+    content["files"] = contents(scenario.world)
     content["code"] = sources(("testbed.simulate", *_modules(makers)))
     if guided_actor(scenario) is not None:
         own = [("estimators", section) for section in scenario.estimators]
@@ -70,6 +73,45 @@ def _hash(content: Any) -> str:
 def _modules(sections: Iterable[tuple[str, Section | Any]]) -> list[str]:
     """The modules of plug-ins, each once."""
     return sorted({origin(group, section.kind).partition(":")[0] for group, section in sections})
+
+
+# ---------------------------------------------------------------- files
+
+
+def contents(world: Section) -> list[list[str]]:
+    """[name, sha256] of every file that a world is made of, by its method `files`; none for one without.
+
+    Where the files lie doesn't count. None either where one can't be used: then the world itself says so when it is made.
+    """
+    made = load("worlds", world.kind)
+    if not issubclass(made, MadeOfFiles):
+        return []
+    key = json.dumps([world.kind, str(getattr(world.config, "_folder", None)), str(Path.cwd()), canonical(world)], sort_keys=True)
+    paths, found = _read_before.get(key, ([], []))
+    now = _digests(paths)
+    if not paths or now != found:  # another content may name other files
+        try:
+            paths = list(made(world.config).files())
+        except ValueError:
+            return []
+        now = _digests(paths)
+        _read_before[key] = paths, now
+    return now
+
+
+_read_before: dict[str, tuple[list[Path], list[list[str]]]] = {}  # the points of a sweep share their hall: it is looked through once
+
+
+def _digests(paths: Sequence[Path]) -> list[list[str]]:
+    return [[path.name, _digest(path)] for path in paths]
+
+
+def _digest(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return "absent"
 
 
 # ---------------------------------------------------------------- sources

@@ -13,7 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from testbed.identity import Keys, keys_of
+from testbed.identity import Keys, contents, keys_of
 from testbed.plugins import GROUPS, origin
 from testbed.scenario import Scenario, from_dict
 from testbed.scenario.scenario import OUTSIDE_HASH
@@ -34,6 +34,7 @@ def describe(scenario: Scenario, keep: str, command: Sequence[str] = (), until: 
             "path": str(scenario.path) if scenario.path else None,
             "folder": str(scenario.source.folder.resolve()) if scenario.source.folder else None,
             "hash": scenario.hash,
+            "files": contents(scenario.world),
             "text": scenario.text,
             "document": scenario.document,
         },

@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
@@ -173,6 +174,15 @@ class Remarks(Protocol):
 
     def notes(self) -> Sequence[str]:
         """Sentences: how many bodies, boxes and meshes there are, which of them are not what they should be, what was left out."""
+        ...
+
+
+@runtime_checkable
+class MadeOfFiles(Protocol):
+    """A world made of files: what they hold is part of what its figures depend on (`testbed.identity`)."""
+
+    def files(self) -> Sequence[Path]:
+        """Every file that it reads, those that others name among them. ValueError where one can't be used."""
         ...
 
 

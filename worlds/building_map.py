@@ -17,7 +17,7 @@ from testbed.quantity import Metres, Point3
 from testbed.roads import RoadGraph
 from worlds.hall import BaseHall
 from worlds.importers.building_file import Item, Level, building
-from worlds.importers.files import FileConfig, WorldFileError
+from worlds.importers.files import FileConfig, ReadsFiles, WorldFileError
 from worlds.importers.hall import check_materials, many, material, plain_names, room, with_sides
 from worlds.parts import MATERIALS, Part, floor_pose, wall
 
@@ -25,7 +25,7 @@ PANEL = 0.05  # m: thickness of a closed door
 SHORTEST = 0.01  # m: a wall below it is none
 
 
-class BuildingMap(BaseHall):
+class BuildingMap(ReadsFiles, BaseHall):
     """Bodies: wall1, ... as drawn, their doors gaps or, closed, panels under the doors' names; models under their names, with tag
     mounts on their sides (front.1, ..., left, back, right, top). A model's shape isn't in the file: it is a cuboid of what `sizes_m` says.
 

@@ -13,12 +13,12 @@ from testbed.columns import Array
 from testbed.quantity import Metres
 from worlds.hall import BaseHall
 from worlds.importers.cells import boxes_of, octile
-from worlds.importers.files import FARTHEST, FileConfig, WorldFileError, read_text
+from worlds.importers.files import FARTHEST, FileConfig, ReadsFiles, WorldFileError, read_text
 from worlds.importers.hall import check_materials, many, room, without_sides
 from worlds.parts import MATERIALS, Part
 
 
-class Grid(BaseHall):
+class Grid(ReadsFiles, BaseHall):
     """Cells that nobody walks through, merged to boxes, are one body "walls"; the map's lower left corner is the origin.
 
     path   : the map, relative to the scenario's folder

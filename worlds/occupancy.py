@@ -13,13 +13,13 @@ from testbed.columns import Array
 from testbed.quantity import Metres
 from worlds.hall import BaseHall
 from worlds.importers.cells import boxes_of, pgm
-from worlds.importers.files import MAX_MESH, FileConfig, WorldFileError, beneath, read, said
+from worlds.importers.files import MAX_MESH, FileConfig, ReadsFiles, WorldFileError, beneath, read, said
 from worlds.importers.hall import check_materials, many, room, without_sides
 from worlds.importers.plain_yaml import mapping, plain_yaml
 from worlds.parts import MATERIALS, Part
 
 
-class Occupancy(BaseHall):
+class Occupancy(ReadsFiles, BaseHall):
     """Full cells, merged to boxes, are one body "walls" of `height_m`, for a map doesn't tell how high things are.
 
     A cell's grey g is p = 1 - g / 255 full, or g / 255 if the map says negate; above occupied_thresh it is full, below free_thresh free,

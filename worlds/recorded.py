@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
+from pathlib import Path as Place
 from typing import Annotated, Literal
 
 import numpy as np
@@ -27,7 +28,7 @@ from testbed.columns import Array
 from testbed.geometry import Boxes, Mounts
 from testbed.logs.bad import LogError
 from testbed.logs.decisions import StillModel, judged
-from testbed.logs.library import Piece, pieces
+from testbed.logs.library import Piece, located, pieces
 from testbed.logs.recordings import fitted_levels, recording_of, trial_of
 from testbed.logs.site import SiteModel, antennas_of
 from testbed.protocols import ActorPlan, Tagged
@@ -103,6 +104,11 @@ class Recorded(BaseHall):
         if config.fit == "others" and len(found) < 2:
             raise LogError("fit: others needs a second log, or pieces: 2")
         self._pieces, self._bounds = found, _bounds(config.site, found)
+
+    def files(self) -> list[Place]:
+        """The logs and truths. LogMissing where one is not there."""
+        every = [*self.config.logs, *self.config.truths]
+        return [located(path) for path in every]
 
     def parts(self) -> list[Part]:
         """None: what stands in the way is in `site.obstacles`."""

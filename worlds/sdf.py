@@ -15,7 +15,7 @@ from testbed import frames
 from testbed.columns import Array
 from testbed.geometry import Boxes, Meshes
 from worlds.hall import BaseHall
-from worlds.importers.files import FileConfig
+from worlds.importers.files import FileConfig, ReadsFiles
 from worlds.importers.hall import check_materials, chosen, many, material, plain_names, room, with_sides
 from worlds.importers.sdf_file import Model, SdfWorld
 from worlds.parts import Part
@@ -24,7 +24,7 @@ MODEL_PATH = ("models", "../models", ".", "..")
 Patterns = Annotated[dict[str, str], Field(max_length=200)]
 
 
-class Sdf(BaseHall):
+class Sdf(ReadsFiles, BaseHall):
     """Every model at the top of the world file is a body under its own name, with tag mounts on its sides (front.1, ..., left, back, right,
     top).
 

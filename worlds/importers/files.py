@@ -6,7 +6,10 @@ that go with the world, whatever `..` or link stands in between.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path, PurePosixPath
 from typing import Any
 from xml.etree.ElementTree import Element, ParseError
@@ -24,6 +27,9 @@ MAX_MESH = 50_000_000  # bytes of a mesh
 MAX_DEPTH = 100  # elements in elements of an XML file
 FARTHEST = 10_000.0  # m from the origin: nothing of a hall lies farther away
 ENOUGH_DIGITS = 60  # characters of a text that an error shows
+
+
+_noting: ContextVar[list[Path] | None] = ContextVar("noting", default=None)
 
 
 class WorldFileError(quantity.UnusableFile):
@@ -60,8 +66,40 @@ class FileConfig(quantity.Config):
         return place
 
 
+@contextmanager
+def noted() -> Iterator[list[Path]]:
+    """The files that are read within, in their order."""
+    found: list[Path] = []
+    token = _noting.set(found)
+    try:
+        yield found
+    finally:
+        _noting.reset(token)
+
+
+class ReadsFiles(ABC):
+    """Base of halls that are made of files."""
+
+    @abstractmethod
+    def parts(self) -> list[Any]: ...
+
+    @abstractmethod
+    def bounds(self) -> Array: ...
+
+    def files(self) -> list[Path]:
+        """All files that the hall is made of, those that others include among them, each once. WorldFileError as of reading them."""
+        fresh = type(self)(self.config)  # pyright: ignore  one that has read nothing yet
+        with noted() as found:
+            fresh.parts()
+            fresh.bounds()
+        return list(dict.fromkeys(found))
+
+
 def read(place: Path, limit: int = MAX_TEXT) -> bytes:
     """All of a file. WorldFileError for one that can't be read or is longer than `limit` bytes."""
+    noting = _noting.get()
+    if noting is not None:
+        noting.append(place)
     try:
         with place.open("rb") as file:
             content = file.read(limit + 1)
