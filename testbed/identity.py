@@ -83,15 +83,16 @@ def contents(world: Section) -> list[list[str]]:
 
     Where the files lie doesn't count. None either where one can't be used: then the world itself says so when it is made.
     """
-    made = load("worlds", world.kind)
-    if not issubclass(made, MadeOfFiles):
+    made: Any = load("worlds", world.kind)
+    if not callable(getattr(made, "files", None)):
         return []
     key = json.dumps([world.kind, str(getattr(world.config, "_folder", None)), str(Path.cwd()), canonical(world)], sort_keys=True)
     paths, found = _read_before.get(key, ([], []))
     now = _digests(paths)
     if not paths or now != found:  # another content may name other files
         try:
-            paths = list(made(world.config).files())
+            hall: MadeOfFiles = made(world.config)
+            paths = list(hall.files())
         except ValueError:
             return []
         now = _digests(paths)
