@@ -53,7 +53,9 @@ def calibrate(
     try:
         fit = named(model or ("logistic_beta" if site is None else "reader_log"))
         of_log = (None if site is None else str(site), None if truth is None else str(truth), ways, profile)
-        found = fit(Request(source, trials, seed, tuple(sets or ()), block, choose(sys.stderr), *of_log))
+        found = fit(
+            Request(source, trials, seed, tuple(sets or ()), block, choose(sys.stderr, of="trials" if site is None else "kB"), *of_log)
+        )
     except CalibrationError as error:
         raise typer.Exit(cli._complain(str(error))) from None
     if out is not None:

@@ -6,7 +6,8 @@ n is what physics says: a slope fitted over a few metres of distances takes up w
 of a place (half a wavelength wide), k of a port and carrier, ε the noise from read to read. ε and the phase noise are taken from
 differences of neighbouring reads of one link on one carrier, so that fading doesn't count: variance of a difference 2 σ². Neighbouring
 differences share a read, which makes the relative standard error of σ √(3 / 4N) in the place of √(1 / 2N). A read that is flipped by π
-changes two differences: a share q of jumps is 2 p (1 - p).
+changes two differences: a share q of jumps is 2 p (1 - p). The error of a level is that of its places alone: the mean of k over the
+carriers is part of C, and the spread of k over the root of their number is how far from it another antenna of the same make may lie.
 
 Left out: slow drift, fading that changes where nothing moves (a person walks by), and a tag's own turning, which is part of C and b.
 """

@@ -53,6 +53,7 @@ class ReaderLog:
     """A fitted log. sections: by kind of sensor, as a scenario has them; pace: reads/s of the whole reader, link: of an antenna and tag."""
 
     name: str
+    antennas: list[str]
     heard: Heard
     fitted: ChannelFit
     pace: Figure
@@ -81,8 +82,8 @@ class ReaderLog:
             "log": self.name,
             "reads": len(self.heard.known),
             "path_loss_exponent": f.exponent,
-            "level_at_1m_dbm": [_plain(v) for v in f.level],
-            "level_error_db": [_plain(v) for v in f.level_error],
+            "level_at_1m_dbm": {id: _plain(v) for id, v in zip(self.antennas, f.level, strict=True)},
+            "level_error_db": {id: _plain(v) for id, v in zip(self.antennas, f.level_error, strict=True)},
             "rssi_step_db": f.rssi_step,
             "figures": {
                 n: None if g is None else {"value": g.value, "error": _plain(g.error), "n": g.n} for n, (g, _) in self.figures().items()
@@ -96,8 +97,8 @@ class ReaderLog:
         table = Printed(title=f"{self.name}, {len(self.heard.known):,} reads at known places", title_justify="left")
         for head in ("", "fitted", "± (standard error)", "unit", "over"):
             table.add_column(head, justify="left" if not head else "right")
-        for i, (level, error) in enumerate(zip(self.fitted.level, self.fitted.level_error, strict=True)):
-            table.add_row(f"level of antenna {i + 1} at 1 m", *(_shown(v) for v in (level, error)), "dBm", "")
+        for id, level, error in zip(self.antennas, self.fitted.level, self.fitted.level_error, strict=True):
+            table.add_row(f"level of {id} at 1 m", *(_shown(v) for v in (level, error)), "dBm", "")
         for name, (found, unit) in self.figures().items():
             cells = (
                 ("the log can't tell", "", "", "") if found is None else (f"{found.value:.4g}", f"{found.error:.2g}", unit, f"{found.n:,}")
@@ -160,7 +161,7 @@ def fitted(name: str, site: SiteModel, heard: Heard, ways: int, profile: str | N
     for kind, model in (("rfid", RfidConfig), ("log_distance", LogDistanceConfig)):
         if kind in sections:
             _loads(model, sections[kind])
-    return ReaderLog(name, heard, found, pace, link, sections, notes)
+    return ReaderLog(name, [a.id for a in site.antennas], heard, found, pace, link, sections, notes)
 
 
 # ---------------------------------------------------------------- sections
