@@ -39,7 +39,7 @@ def _setting(study: Study, document: dict[str, Any], trials: int) -> str:
     names = list(study.estimators)
     by = f"{counted(len(names), 'estimator')} ({listed(names)})" if names else "no estimator"
     where = f" at each of {len(study.sets)} points of a sweep" if len(study.sets) > 1 else ""
-    made = "played back" if dict(document.get("world") or {}).get("kind") == "recorded" else "simulated"
+    made = "played back" if dict(document.get("world") or {}).get("kind") in ("recorded", "driven_streets") else "simulated"
     begun = ("was" if trials == 1 else "were") + (f" {made}" if study.summaries else f" to be {made}")
     text = f"{counted(trials, 'trial')}{length}{where} {begun} from seed {study.manifest['seed']} and tracked by {by}."
     return capital(text)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from street_network import street_network
+from worlds.street_network import street_network
 
 from estimators.mapmatch_grid import MapmatchGrid
 from testbed.estimate import run

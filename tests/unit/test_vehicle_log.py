@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from street_network import street_network, thinned
+from worlds.street_network import street_network, thinned
 
 from testbed.roads import project
 from testbed.vehicle_log import local_plane, read_vehicle_log

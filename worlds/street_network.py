@@ -1,14 +1,17 @@
 """A street network about a path that was driven: the path thinned, its nodes moved, and wrong branches at every corner, by a seed."""
 
+from __future__ import annotations
+
 import numpy as np
 
+from testbed.columns import Array
 from testbed.geometry import Roads
 from testbed.roads import check_roads
 
 CORNER = np.deg2rad(15)  # a node where the path turns by less is a bend of the street, not a corner
 
 
-def thinned(path, tolerance):
+def thinned(path: Array, tolerance: float) -> Array:
     """The fewest corners of a path (N, 2) m that leave all of it within `tolerance` m (Ramer 1972; Douglas, Peucker 1973)."""
     keep, stack = {0, len(path) - 1}, [(0, len(path) - 1)]
     while stack:
@@ -25,7 +28,9 @@ def thinned(path, tolerance):
     return path[sorted(keep)]
 
 
-def street_network(path, seed, tolerance=3.0, moved=1.5, branches=2, length=(40.0, 120.0)):
+def street_network(
+    path: Array, seed: int, tolerance: float = 3.0, moved: float = 1.5, branches: int = 2, length: tuple[float, float] = (40.0, 120.0)
+) -> tuple[Roads, int]:
     """Roads: the thinned path, its nodes moved by `moved` m in a random direction, and `branches` wrong streets at each corner.
 
     The first wrong street goes straight on, the next ones to a side that the path did not take; each has a bend in its middle, and ends
