@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from worlds.street_network import street_network
 
 from estimators.mapmatch_grid import MapmatchGrid
 from testbed.estimate import run
@@ -15,6 +14,7 @@ from testbed.metrics.settle_time import first_stretch
 from testbed.recording import Recording
 from testbed.types import Antennas, Prior, Site, Status, Tags, Targets
 from testbed.vehicle_log import read_vehicle_log
+from worlds.street_network import street_network
 
 FOLDER = Path(__file__).parents[2] / ".." / "shared" / "data" / "vehicle_odometry_smartloc"
 NETWORKS = range(4)

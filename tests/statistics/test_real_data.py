@@ -7,7 +7,7 @@ from testbed.scenario import DataMissing, find
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", ["ble-tracks", "ble-robot-flat", "uwb-labyrinth", "zebra-still-tags"])
+@pytest.mark.parametrize("name", ["ble-tracks", "ble-robot-flat", "uwb-labyrinth", "zebra-still-tags", "car-on-streets"])
 def test_every_claim_holds(name):
     try:
         verdicts = check_scenario(find(f"real/{name}"), jobs=2)
