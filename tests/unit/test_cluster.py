@@ -177,7 +177,8 @@ def test_without_the_extra_it_is_told_how_to_install_it(monkeypatch):
 
 SBATCH = """#!/bin/sh
 echo "$@" >> "{folder}/asked"
-sh "$1" > "{folder}/worker.log" 2>&1 &
+cp "$1" "{folder}/job.sh"  # as Slurm does: the script is taken away when sbatch returns
+sh "{folder}/job.sh" > "{folder}/worker.log" 2>&1 &
 echo $! >> "{folder}/pids"
 echo "Submitted batch job 17"
 """
