@@ -117,7 +117,7 @@ class DrivenStreets(BaseHall):
         log = self._read()
         site = Site(Antennas.empty(), Tags.empty(), np.empty(0), roads=self._roads)
         _, aims = self.tagged()
-        recording = Recording(trial, float(log.t[-1]), site, log.streams(self._heading), aims.targets, aims.tags)
+        recording = Recording(trial, float(log.t[-1]), site, {**log.streams(self._heading)}, aims.targets, aims.tags)
         t = np.arange(int(np.ceil(recording.duration * self.config.truth_hz - 1e-9)) + 1) / self.config.truth_hz
         poses = np.zeros((len(t), 1, 7))
         poses[:, 0, :2], poses[..., 3] = log.position(t), 1.0
